@@ -2,11 +2,11 @@
 degrees to within 0.1 mm and 0.1 degrees.
 
 For a round object on an open table, distance and rotation to the goal are the complete state, and a
-tap is given by direction, distance and rotation. The benchmark computes the optimal policy over all
-taps, whereas ``optimal`` only taps along the line to the goal. Near the smallest tap, where the
-expected taps change rapidly, the grid is finer than that of ``optimal``. The camera noise is 0.01
-mm and 0.01 degrees. The expected taps are accurate to 0.05 taps, which is the difference between
-the results of two grids.
+tap is given by direction, distance and rotation. The benchmark computes the best policy over taps
+in all directions, whereas the planning method ``optimal`` uses only taps along the line to the
+goal. Near the smallest tap, where the expected taps change rapidly, the grid is finer than that of
+``optimal``. The camera noise is 0.01 mm and 0.01 degrees. The expected taps are accurate to 0.05
+taps; this is the difference between the results of two grids.
 """
 
 from __future__ import annotations

@@ -118,7 +118,9 @@ class _Fit(NamedTuple):
         try:
             return CameraModel(*self.size, *focal, *centre, coefficients, self.lens.model)
         except CameraError as error:
-            raise CalibrationRefused(f"the views do not determine the camera: {error}") from error
+            raise CalibrationRefused(
+                f"the views do not determine the camera's parameters: {error}"
+            ) from error
 
     def invertible(self) -> bool:
         """Return whether the lens model can be inverted to 0.01 pixel along the image border."""
@@ -180,8 +182,8 @@ def _check_number(views: Sequence[TargetView], rejected: Sequence[Rejected]) -> 
     out = "; ".join(f"{entry.name}: {entry.reason}" for entry in rejected[:4])
     raise CalibrationRefused(
         f"{len(views)} usable views are too few: at least {MIN_VIEWS} are needed; 20 are "
-        "recommended. Take more photographs with the target tilted to all sides and in every "
-        "part of the image"
+        "recommended. Take more photographs with the target tilted by 20 to 40 degrees in "
+        "different directions and in every part of the image"
         + (f" (left out: {out}{'; ...' if len(rejected) > 4 else ''})" if out else "")
     )
 
@@ -289,8 +291,9 @@ class _Fitter:
                 squares[lens] = square
         if not squares:
             raise CalibrationRefused(
-                "no lens model fits these views: show the target tilted to all sides and in "
-                "every part of the image, and check the number of squares given for the target"
+                "no lens model fits these views: add views with the target tilted by 20 to 40 "
+                "degrees in different directions and in every part of the image, and check the "
+                "number of squares given for the target"
             )
         best = next(iter(squares))
         for lens in list(squares)[1:]:
@@ -307,7 +310,10 @@ class _Fitter:
         Raises:
             CalibrationRefused: OpenCV finds no solution.
         """
-        refusal = "the views do not determine the camera: show the target tilted to all sides"
+        refusal = (
+            "the views do not determine the camera's parameters: add views with the target tilted "
+            "by 20 to 40 degrees in different directions"
+        )
         points = [
             np.column_stack([self.target.points[view.ids], np.zeros(len(view.ids))])
             for view in views

@@ -365,7 +365,8 @@ def _speed_known(used: Sequence[Used]) -> float:
 
 
 def _slid(measured: Launches, slide: SlideFit, body: Body) -> Launches:
-    """Predict displacements from measured velocities, and velocities from displacements."""
+    """Predict displacements from measured velocities, and velocities from measured
+    displacements."""
     curves = SlideCurves(body, GRAVITY)
     log_factor = math.log(slide.torque_factor)
     distance, rotation = _rest(curves, slide, measured.speed, measured.spin)

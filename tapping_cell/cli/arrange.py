@@ -51,9 +51,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--preset",
         choices=PRESETS,
-        help="preset layout of all objects of the cell, in place of a layout file: line, circle "
-        "or grid (at the centre of the area in which objects can be tapped), or swap (the "
-        "objects exchange places in pairs)",
+        help="preset layout of all objects of the cell, in place of a layout file. line, circle, "
+        "grid: the objects are arranged in this shape at the centre of the area in which objects "
+        "can be tapped. swap: the objects exchange places in pairs",
     )
     parser.add_argument(
         "--cell",

@@ -206,8 +206,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--objective",
         choices=("taps", "time"),
-        help="minimise the number of taps, or the total time of taps and arm motion (only with "
-        "--table or for a cell with fixed tappers; default: the cell file's)",
+        help="quantity to minimise: taps (number of taps) or time (total time, including the "
+        "motion of the arm or the flight of the fixed strikers); time needs --table or a cell with "
+        "fixed tappers (default: with --table or fixed tappers that of the cell file, otherwise "
+        "taps)",
     )
     parser.add_argument(
         "--table",

@@ -24,6 +24,7 @@ from typing import TYPE_CHECKING, Any
 
 from tapping_cell.cli import argument_types
 from tapping_cell.cli.errors import print_error
+from tapping_cell.cli.fit_labels import shown, speed_lines
 
 if TYPE_CHECKING:
     from tapping_cell.calibration.estimates import Estimate
@@ -202,46 +203,3 @@ def _run_rows(fit: ObjectFit) -> Iterator[str]:
             texts = (f"{each} {100 * error:+.1f}" for each, error in errors.items())
             cells.append(", ".join(texts) if known else "-")
         yield f"    {run.label:<5}{run.trials:>5} " + "".join(f"  {cell:>36}" for cell in cells)
-
-
-_WORDS = {
-    "friction": "friction with the table",
-    "torque_factor": "torque factor",
-    "restitution": "restitution",
-    "contact_friction": "friction with the striker",
-    "scale_b1": "scale of B1",
-    "scale_b2": "scale of B2",
-    "scale_b3": "scale of B3",
-    "scatter_speed": "scatter of launch speed (%)",
-    "scatter_spin": "scatter of launch spin (%)",
-    "scatter_direction": "scatter of direction (degrees)",
-    "scatter_distance": "scatter of distance (%)",
-    "scatter_rotation": "scatter of rotation (%)",
-    "scatter_position_floor": "scatter of small taps (mm)",
-    "scatter_angle_floor": "scatter of small rotations (degrees)",
-}
-
-
-def speed_lines(fit: ObjectFit) -> list[str]:
-    """Format the measured striker speed at each setting."""
-    found = []
-    for point in fit.tapper:
-        setting = (
-            f"commanded {1e3 * point.commanded:.0f} mm/s"
-            if math.isnan(point.draw)
-            else f"spring deflection {1e3 * point.draw:.2f} mm"
-        )
-        found.append(
-            f"{setting}: {1e3 * point.measured:.1f} mm/s, scatter {1e3 * point.scatter:.1f} mm/s "
-            f"in {point.trials} taps"
-        )
-    return found
-
-
-def shown(entry: Estimate) -> tuple[str, float]:
-    """Return the label of an estimate, and the factor that converts its value to the unit in the
-    label."""
-    factor = 1.0
-    if entry.name.startswith("scatter"):
-        factor = {"rad": 180 / math.pi, "m": 1e3}.get(entry.unit, 100.0)
-    return _WORDS[entry.name], factor

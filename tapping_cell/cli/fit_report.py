@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from tapping_cell.calibration.estimates import Estimate
 from tapping_cell.calibration.object_fit import ObjectFit
 from tapping_cell.calibration.prediction import Launches, RunErrors
-from tapping_cell.cli.fit import shown, speed_lines
+from tapping_cell.cli.fit_labels import shown, speed_lines
 from tapping_cell.configuration.objects import GRAVITY
 from tapping_cell.configuration.provenance import Provenance
 from tapping_cell.mechanics import Profile, Sliding

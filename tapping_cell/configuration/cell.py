@@ -171,8 +171,9 @@ class Ros2ControlSection:
 class ArmSection:
     """The SCARA arm: base pose, dimensions, limits, moves and controller.
 
-    For an arm that is not a SCARA, the dimensions are those of a SCARA with which the cell plans,
-    and whose tip poses the real arm must be able to reach (see `ros2_control.chain`).
+    For an arm that is not a SCARA, the dimensions describe a SCARA that the planner uses in its
+    place. The real arm must be able to reach every tip pose of this SCARA (see
+    `ros2_control.chain`).
     """
 
     base: tuple[float, float, float] = quantity(
@@ -484,7 +485,8 @@ class ArmSection:
 
 
 def _values(section: ArmSection, kind: type) -> dict[str, Any]:
-    """Return the keys of a section for a class, all of whose fields are keys of the section."""
+    """Return the fields of the dataclass ``kind`` with their values in ``section``. Every field of
+    ``kind`` must be a key of the section."""
     return {field.name: getattr(section, field.name) for field in fields(kind)}
 
 
@@ -924,7 +926,7 @@ class Cell:
 
 
 def load_cell(path: Path | str | None = None, object_path: Path | str | None = None) -> Cell:
-    """Load a cell file, or the package's own if ``path`` is None.
+    """Load a cell file, or the package's own cell file if ``path`` is None.
 
     ``object_path`` replaces the object file that the cell file names.
 

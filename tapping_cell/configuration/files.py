@@ -8,8 +8,8 @@ from ament_index_python.packages import get_package_share_directory
 
 
 def shared_folder() -> Path:
-    """Return the source tree's ``config`` folder if run from a source tree, otherwise the installed
-    folder."""
+    """Return the ``config`` folder of the source tree if the package is run from a source tree,
+    otherwise the installed folder."""
     source = Path(__file__).resolve().parents[2]
     if (source / "package.xml").is_file():
         return source / "config"

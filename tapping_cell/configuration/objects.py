@@ -67,7 +67,10 @@ class ShapeSection:
 class MarkerSection:
     """The marker on the object's top."""
 
-    dictionary: str = text("OpenCV name of the marker dictionary, such as APRILTAG_36h11")
+    dictionary: str = text(
+        "OpenCV name of the marker dictionary, with or without the prefix DICT_, such as "
+        "APRILTAG_36h11"
+    )
     id: int = quantity("number of the marker in its dictionary", "", 0, 1_000_000)
     size: float = quantity("side of the marker's black square", "m", 0.005, 0.5)
     offset: tuple[float, float, float] = quantity(
@@ -262,7 +265,8 @@ class ObjectFile:
         """Return the feature that the camera detects: the marker or the outline.
 
         Raises:
-            ValueError: both or neither are given, or the feature cannot be detected.
+            ValueError: both or neither of marker and outline are given, or the feature cannot be
+            detected.
         """
         return seen_as(self.shape, self.height, self.marker, self.outline)
 

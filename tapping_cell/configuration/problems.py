@@ -14,8 +14,8 @@ from tapping_cell.configuration.schema import ConfigurationError, build
 def problems_of(kind: type, document: Any, source: str, key: str = "") -> list[str]:
     """Return all errors in a document that should be a section of class ``kind``.
 
-    Each key is checked separately by :func:`tapping_cell.configuration.schema.build`, which also
-    words the messages.
+    Each key is checked separately by :func:`tapping_cell.configuration.schema.build`. The messages
+    are those of this function.
     """
     if not isinstance(document, Mapping):
         return _errors(kind, document, source, key)

@@ -35,7 +35,10 @@ class ReferenceSection:
 class TableFile:
     """The reference markers that define the frame ``table``."""
 
-    dictionary: str = text("OpenCV name of the marker dictionary, such as APRILTAG_36h11")
+    dictionary: str = text(
+        "OpenCV name of the marker dictionary, with or without the prefix DICT_, such as "
+        "APRILTAG_36h11"
+    )
     markers: tuple[ReferenceSection, ...] = section("reference markers on the table")
     calibration: Provenance | None = section(
         "record of the calibration of the marker poses", default=None

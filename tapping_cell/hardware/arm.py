@@ -42,7 +42,7 @@ move's start or at an intermediate point."""
 FRESHNESS = 0.05
 """Maximum age of a reading that is reused at the start of a move, s."""
 MIN_FEED = 0.001
-"""Lowest feed rate that a move line can carry, units/min."""
+"""Lowest feed rate that a move line can contain, units/min."""
 
 HOMING_LOST = frozenset(
     {
@@ -139,10 +139,10 @@ class ArmDriver:
         """Open the line, identify the controller, and read the position.
 
         ``timeout``: longest wait for the port, and then for the controller's answer, s. Homing
-        remains valid after a reconnect only if the controller proves that it was not reset and the
-        arm has not moved. If connecting fails, the port is closed. Raises HardwareFault:
-        PORT_MISSING, PORT_BUSY, UNKNOWN_FIRMWARE, SETTINGS_MISMATCH, TIMEOUT, PROTOCOL,
-        NEEDS_PERSON.
+        remains valid after a reconnect only if two conditions are met: the controller proves that
+        it was not reset, and the arm has not moved. If connecting fails, the port is closed. Raises
+        HardwareFault: PORT_MISSING, PORT_BUSY, UNKNOWN_FIRMWARE, SETTINGS_MISMATCH, TIMEOUT,
+        PROTOCOL, NEEDS_PERSON.
         """
         self._begin_call()
         self._connected = False
@@ -306,8 +306,8 @@ class ArmDriver:
                 self.close()
             noted = self._noted(fault)
             if must_unlock and noted.reason in LINE_LOST:
-                # The loss of the connection is not latched, because the next connect restores it.
-                # An earlier fault stays latched.
+                # The loss of the connection is not latched, because the next connect restores the
+                # connection. An earlier fault stays latched.
                 self._fault = first
             elif must_unlock:
                 # A fault that could not be cleared stays latched.
@@ -316,7 +316,8 @@ class ArmDriver:
         self._fault = None
 
     def _connect_to_locked(self, timeout: float) -> None:
-        """Connect, and reset a controller that answers no queries because it sleeps or holds."""
+        """Connect. A controller that refuses queries because it is in a sleep or hold state is
+        reset first."""
         try:
             self.connect(timeout)
         except HardwareFault as fault:
@@ -386,8 +387,8 @@ class ArmDriver:
     def _follow(self, path: _Path, deadline: float) -> tuple[ArmReading, HardwareFault | None]:
         """Send a path, and repeat the remaining part if a line was lost or rejected.
 
-        Returns the last reading, and the fault that kept the arm from the end of the path (None if
-        the arm is there).
+        Returns the last reading, and the fault that prevented the arm from reaching the end of the
+        path (None if the arm is there).
         """
         goal = path.places[-1]
         for attempt in range(MOVE_ATTEMPTS):
@@ -587,8 +588,9 @@ class ArmDriver:
     def _noted(self, fault: HardwareFault) -> HardwareFault:
         """Record a fault in the driver's state and return the fault to raise.
 
-        If a fault is latched, it is returned instead of a later one, because later faults are often
-        its consequence: an alarm can be followed by a restart, and a stop causes an alarm.
+        If a fault is latched, the latched fault is returned instead of a later one, because later
+        faults are often consequences of the first: an alarm can be followed by a restart, and a
+        stop causes an alarm.
         """
         if self._stopped.is_set() and fault.reason in OF_A_STOP:
             # The alarm or reset that a stop causes in the controller is not a separate fault.

@@ -42,8 +42,8 @@ class ArmSettings:
     tolerance_quill: float = 1e-4
     """Largest difference between a target and the quill position read back, m."""
     settle_time: float = 0.15
-    """Time for which the arm must rest at the last waypoint of a path before it counts as arrived,
-    s."""
+    """Time for which the arm must rest at the last waypoint of a path before the arm counts as
+    arrived, s."""
     quill_brake: bool = False
     """True if a brake or a counterweight holds the quill while its motor has no power."""
 

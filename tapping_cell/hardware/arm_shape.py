@@ -1,5 +1,5 @@
-"""Shape of the arm, to compute what it hides from the camera: round bars along links, quill and
-tool."""
+"""Shape of the arm, to compute what the arm hides from the camera: round bars along links, quill
+and tool."""
 
 from __future__ import annotations
 

@@ -134,8 +134,8 @@ class Playback:
         if picture is None and self._settings.loop:
             self._pictures = self._all()
             picture = self._next(left_out)
-        # Either the source has never delivered an image, or it loops and contained none even after
-        # it had started over at its end.
+        # Either the source has never delivered an image, or it loops and delivered no image after
+        # it had started over.
         if picture is None and (self._delivered == 0 or self._settings.loop):
             raise CameraSourceError(
                 f"{self._name} contains no image that can be decoded; replace it"

@@ -30,7 +30,8 @@ class ControllerNeeds:
     """Minimum value of the controller's acceleration limit, units/s^2. With a lower limit, moves
     take longer than computed."""
     travel: Four | None = None
-    """Travel that soft limits must allow, in units: the range between the joint limits."""
+    """Travel that the soft limits must allow, in the controller's units: the range between the
+    joint limits."""
     steps: Four | None = None
     """Exact steps per unit; with another value the arm moves by a wrong angle or distance."""
 

@@ -93,8 +93,8 @@ class ArmDialect(Protocol):
         """Identify the firmware and compare its settings with the required ones; nothing moves."""
 
     def store(self, finding: Finding, deadline: float) -> None:
-        """Send the command of ``finding``, which corrects a setting; raises ValueError if only a
-        person may change this setting."""
+        """Send the command of ``finding`` to correct a setting; raises ValueError if only a person
+        may change this setting."""
 
     def read(self, deadline: float) -> AxisReading:
         """Read the positions and state of the axes."""
@@ -119,7 +119,10 @@ class ArmDialect(Protocol):
         """
 
     def set_position(self, axes: Axes, deadline: float) -> None:
-        """Declare the current position of the axes."""
+        """Make the controller take ``axes`` as its current position, without a move.
+
+        Raises HOMING_FAILED if the dialect does not support this.
+        """
 
     def clear(self, deadline: float) -> None:
         """After a stop or an alarm, return the controller to a state that accepts moves."""

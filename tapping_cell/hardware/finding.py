@@ -16,7 +16,8 @@ class Finding:
     """Requirement, such as "must be 255"."""
     met: bool
     command: str = ""
-    """Command to type at the controller to correct it; empty if there is no such command."""
+    """Command to type at the controller to correct the setting; empty if there is no such
+    command."""
     storable: bool = False
     """True if the command may be sent without an operator at the arm, because it changes neither
     the scale nor the speed of any motion."""

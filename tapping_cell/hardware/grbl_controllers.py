@@ -24,7 +24,8 @@ class GrblController:
     hold_setting: str = "$1"
     """Setting that must be 255 for the motors to keep their torque at standstill."""
     store_note: str = ""
-    """What a person must also do so that the setting survives a restart; empty if nothing."""
+    """What a person must also do so that the setting survives a restart; empty if no such action is
+    needed."""
     has_files: bool = False
     """True if most settings are named and stored in a file. ``$$`` then lists only a
     few settings."""
@@ -32,7 +33,7 @@ class GrblController:
     """Settings that select the axes of each homing cycle; empty if the axes are fixed at build
     time."""
     alarms: Mapping[int, str] = field(default_factory=dict)
-    """Alarms with a meaning that differs from Grbl's or that Grbl does not have."""
+    """Alarms whose meaning differs from that in Grbl, and alarms that Grbl does not have."""
 
 
 GRBL = GrblController("Grbl")
@@ -72,7 +73,7 @@ class Identity:
     letters: str
     """Axis letters in the order of the status reports; empty if the firmware does not list them."""
     forces_origin: bool
-    """True if the firmware build sets the machine position to zero where homing ends."""
+    """True if the firmware build sets the machine position to zero at the end of homing."""
 
 
 def identify(messages: Iterable[grbl.Message]) -> Identity | None:

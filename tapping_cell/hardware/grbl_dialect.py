@@ -301,8 +301,8 @@ class GrblDialect(LineDialect[grbl.Frame]):
         self._frames.append(frame)
 
     def _await(self, until: float) -> grbl.Frame | None:
-        """Return the next frame; count a timeout and return None if none is received by
-        ``until``."""
+        """Return the next frame; if no frame is received by ``until``, count a timeout and return
+        None."""
         frame = self._next(until)
         self.counters.timeouts += frame is None
         return frame
@@ -361,7 +361,7 @@ class GrblDialect(LineDialect[grbl.Frame]):
         raise self._silent(f"answer to {line.decode().strip()!r}")
 
     def _resynchronise(self, deadline: float) -> None:
-        """Wait until the controller has processed every line sent before.
+        """Wait until the controller has processed every line sent so far.
 
         Sends a new number as the feed rate and queries the modes, which include the feed rate. A
         mode report with this number proves that all earlier lines were processed. The ``ok`` that
@@ -399,7 +399,7 @@ class GrblDialect(LineDialect[grbl.Frame]):
 
     def _await_first_status(self, deadline: float) -> grbl.Banner | None:
         """Query until a status report arrives. Return the banner that was received before this
-        report, which shows that the controller was reset; None if there was no banner."""
+        report, or None. A banner shows that the controller was reset."""
         banner: grbl.Banner | None = None
         while True:
             self._transport.write(grbl.STATUS_QUERY)
@@ -462,7 +462,8 @@ class GrblDialect(LineDialect[grbl.Frame]):
         return banner
 
     def _retried(self, line: bytes, deadline: float) -> list[grbl.Frame]:
-        """Send a query with up to three attempts, each with the reply timeout."""
+        """Send a query up to three times, and wait for each answer for at most the reply
+        timeout."""
         for attempt in range(3):
             try:
                 return self._command(line, min(deadline, self._transport.now() + REPLY_TIMEOUT))

@@ -33,7 +33,8 @@ angle between them is above this value."""
 COURSE_SAMPLES = 200
 """Number of samples of a trajectory in the search for the point nearest to the arm."""
 COURSE_WIDTH = 0.05
-"""Maximum distance from a trajectory at which the arm is assumed to follow it, rad or m."""
+"""The arm is assumed to follow a trajectory if its distance from the trajectory is at most this
+value, rad or m."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,9 +52,9 @@ def straight_points(
     """Return the points of straight moves that begin and end at rest; the start is not included.
 
     The arm does not stop between two moves in the same direction. It passes the point between them
-    at the lower speed of the two moves, or more slowly if a move is too short to reach this speed
-    or to brake from it. ``moves``: targets in rad and m; the feed along the line is in the same
-    unit per minute.
+    at the lower of the speeds of the two moves, or more slowly if a move is too short to reach this
+    speed or to brake from it. ``moves``: targets in rad and m; the feed along the line is in the
+    same unit per minute.
     ``max_acceleration``: limit of each joint, in rad/s^2 or m/s^2. Moves of zero length are left
     out.
     """
@@ -121,7 +122,7 @@ def _passing_speeds(legs: Sequence[_Leg]) -> list[tuple[float, float]]:
 
 
 class Course:
-    """A trajectory that was sent, for estimating the arm's position between joint state
+    """A trajectory that was sent. It is used to estimate the arm's position between joint state
     messages."""
 
     def __init__(self, start: Sequence[float], points: Sequence[TrajectoryPoint]) -> None:

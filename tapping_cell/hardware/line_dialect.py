@@ -14,7 +14,8 @@ from tapping_cell.hardware.transport import Transport
 
 
 class LineDialect(ABC, Generic[Frame]):
-    """Reception of the frames of one controller, which ``decode`` finds in the received bytes."""
+    """Reception of the frames of one controller. ``decode`` finds the frames in the received
+    bytes."""
 
     def __init__(self, transport: Transport, decode: Callable[[bytes], Decoded[Frame]]) -> None:
         self.counters = LineCounters()

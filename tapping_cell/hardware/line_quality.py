@@ -25,5 +25,6 @@ class ReceivedBytes:
 
     @property
     def are_noise(self) -> bool:
-        """Whether so many bytes are not text that the baud rate or the cable must be wrong."""
+        """Whether the share of bytes that are not text is so large that the baud rate or the cable
+        must be wrong."""
         return self.strange > NOISE_SHARE * self.total

@@ -16,20 +16,20 @@ from tapping_cell.hardware.line_dialect import LineDialect
 from tapping_cell.hardware.transport import Transport
 
 SILENCE = 2.5
-"""Longest silence after a line that takes long (``LONG_CODES``), s; until it has ended, ``busy`` is
-sent about every 2 s."""
+"""Longest silence after a line that takes long (``LONG_CODES``), s. While the board processes such
+a line, it sends ``busy`` about every 2 s."""
 SHORT_SILENCE = 0.6
 """Longest silence after any other line, s; such a line is answered immediately."""
 LONG_CODES = ("M400", "G28")
 REPEAT_SILENCE = 0.4
-"""Longest silence after a line is resent, s. It is short, because the board does not answer if it
-has already accepted the line."""
+"""Longest silence after a line is resent, s. This time is short, because the board does not answer
+a resent line that it has already accepted."""
 DRAIN_SILENCE = 0.05
 """Time without received bytes after which the line counts as drained, s."""
 POLL_PERIOD = 0.02
 """Time between position queries while the last steps of a move are made, s."""
 REST_S = 0.2
-"""Time, s, between two queries of the same step counts after which the arm counts as at rest. Even
+"""The arm counts as at rest if two queries, this time apart (s), return the same step counts. Even
 a slow move makes a step in this time."""
 EARLY = 0.003
 """Time before the computed end of a move at which polling starts, s. Polling starts early because a
@@ -215,14 +215,15 @@ class MarlinDialect(LineDialect[marlin.Frame]):
             )
 
     def set_position(self, axes: Axes, deadline: float) -> None:
-        """Declare the position with ``G92``. Depending on the firmware's build, ``G92`` changes the
-        step counts too or only the reported position; the difference is measured."""
+        """Declare the position with ``G92``. In some builds of the firmware, ``G92`` changes only
+        the reported position; in others, it changes the step counts too. The difference between
+        position and step counts is therefore measured."""
         self._order("G92" + marlin.axis_text(self._settings.letters, axes), deadline)
         self._offset = self._offset_at_rest(self._position(deadline)[0], axes)
 
     def clear(self, deadline: float) -> None:
-        """Restart the line numbering. If the board is silent, reopen the port, which resets a
-        halted board if its wiring supports this."""
+        """Restart the line numbering. If the board is silent, reopen the port; this resets a halted
+        board if the wiring of the board supports it."""
         self._known = False
         self._halted_why = ""
         self._pump(0.0)
@@ -367,8 +368,8 @@ class MarlinDialect(LineDialect[marlin.Frame]):
     # Connecting.
 
     def _counts_on(self, deadline: float) -> bool:
-        """Return whether the board still has the driver's last line number, which proves that it
-        was not reset."""
+        """Return whether the board still has the driver's last line number; if so, the board was
+        not reset."""
         known = set(self._sent) | {self._number}
         self._transport.write(marlin.numbered(self._number + 2, "M114"))
         until = min(deadline, self._transport.now() + 1.0)
@@ -479,7 +480,7 @@ class MarlinDialect(LineDialect[marlin.Frame]):
         return findings
 
     def _offset_before_homing(self, deadline: float) -> dict[str, float]:
-        """Return the offset that the board has kept from an earlier session; none if the arm
+        """Return the offset that the board has kept from an earlier session; empty if the arm
         moves."""
         first, _ = self._position(deadline)
         offset = self._offset_at_rest(first)

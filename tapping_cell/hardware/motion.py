@@ -42,7 +42,7 @@ class MotionSettings:
     near_speed: float = 0.4
     """Fraction of the maximum joint speeds while backing off and at the end of lowering."""
     near_height: float = 0.015
-    """Height above the strike pose where lowering slows to ``near_speed``, m."""
+    """Height above the strike pose at which lowering slows to ``near_speed``, m."""
     back_off: float = 0.005
     """Backward distance along the line of travel before raising from a strike pose, m."""
     park: tuple[float, float, float, float] = (1.2, 1.2, -0.020, 0.0)

@@ -1,4 +1,5 @@
-"""Driver of a tapper fired by a digital output, whose on-time sets the striker's speed.
+"""Driver of a tapper that a digital output fires. The on-time of the output sets the striker's
+speed.
 
 It has the interface of :class:`~tapping_cell.hardware.tapper.TapperDriver` but weaker guarantees.
 The remote side does not reject a late request, limit the pulse, count shots, or discharge when this

@@ -43,7 +43,8 @@ class Ros2ControlSettings:
     max_acceleration: tuple[float, ...]
     """Maximum accelerations, rad/s^2 or m/s^2."""
     tolerance: tuple[float, ...]
-    """Position tolerances of the arm, rad or m. A joint at rest may vary by half its tolerance."""
+    """Position tolerances of the arm, rad or m. The position of a joint at rest may vary by half
+    its tolerance."""
     state_timeout: float = 0.25
     """Longest silence of the joint states, s."""
     axes: tuple[str, ...] = ()
@@ -191,7 +192,8 @@ class Ros2ControlDialect:
         self.home(axes, deadline)
 
     def clear(self, deadline: float) -> None:
-        """After a stop, wait until states arrive and the arm is at rest; then it may be homed."""
+        """After a stop, wait until states arrive and the arm is at rest. The arm may then be
+        homed."""
         self._ends = -math.inf
         while self.read(deadline).moving:
             if self._link.now() >= deadline:

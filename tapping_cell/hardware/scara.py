@@ -154,7 +154,7 @@ class ScaraGeometry:
     max_acceleration: tuple[float, float, float, float] = (8.0, 10.0, 2.0, 30.0)
     """Maximum joint accelerations: rad/s2, rad/s2, m/s2, rad/s2."""
     singularity_margin: float = 0.05
-    """Minimum angle of the elbow from straight and from folded, rad."""
+    """Minimum angle of the elbow from the straight and from the folded position, rad."""
     joint_offset: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
     """True joint values minus the controller's: rad, rad, m, rad."""
 

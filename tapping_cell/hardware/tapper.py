@@ -232,7 +232,7 @@ class TapperDriver(RecordingTapper):
         return self._mode
 
     def connect(self, timeout: float = 5.0) -> Reply:
-        """Open the line and a new session, which discharges the tapper, and set the mode.
+        """Open the line, begin a new session, which discharges the tapper, and set the mode.
 
         ``timeout``: longest wait for the port, and then for an answer, s. Raises HardwareFault:
         PORT_MISSING, PORT_BUSY, UNKNOWN_FIRMWARE, PROTOCOL, TIMEOUT, STOPPED. After a fault other
@@ -670,7 +670,8 @@ class TapperDriver(RecordingTapper):
         """Return the number of frames so far that the tapper sent and the line damaged.
 
         In a session, all unreadable bytes come from the tapper, even if neither the beginning nor
-        the end of a frame can be recognized. Before, another device may have sent them.
+        the end of a frame can be recognized. Before a session, another device may have sent these
+        bytes.
         """
         return self.counters.bad_frames if self.connected else self.counters.damaged_frames
 

@@ -83,8 +83,8 @@ class TapperBoards:
         return ", ".join(dict.fromkeys(driver.version for driver in self._drivers))
 
     def connect(self, timeout: float = 5.0) -> Reply:
-        """Open a session with every board, which discharges all tappers. If a board fails, all
-        lines are closed."""
+        """Open a session with every board; this discharges all tappers. If a board fails, all lines
+        are closed."""
         try:
             return self._merged([driver.connect(timeout) for driver in self._drivers])
         except HardwareFault as fault:

@@ -26,10 +26,10 @@ class TapperDevice(Protocol):
         """Firmware version, or a description for a device without firmware."""
 
     def connect(self, timeout: float = 5.0) -> Reply:
-        """Connect to the tapper, which discharges it."""
+        """Connect to the tapper; this discharges the tapper."""
 
     def close(self) -> None:
-        """Disconnect from the tapper; it is discharged."""
+        """Disconnect from the tapper; this discharges the tapper."""
 
     def status(self) -> Reply:
         """Query the state."""

@@ -67,7 +67,7 @@ class Command(Enum):
     DISCHARGE = "DISCHARGE"
     """Discharges without firing; aborts homing."""
     CLEAR = "CLEAR"
-    """Ends a latched stop within 10 s after the clear button was pressed; otherwise the reply is
+    """Ends a latched stop if the clear button was pressed in the last 10 s; otherwise the reply is
     NEEDS_PERSON."""
     MODE = "MODE"
     """``SETUP`` or ``RUN``. In set-up mode, energies above 5 mJ are refused unless the enabling

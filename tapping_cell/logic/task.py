@@ -279,7 +279,7 @@ class Task:
         return result
 
     def fill(self, state: PlanState, pose: Pose | None) -> None:
-        """Write this goal and its residual into a report; ``pose``: pose of the object, None while
+        """Write this goal and its residual into ``state``; ``pose``: pose of the object, None while
         it is not seen."""
         state.object_id = self.object_id
         state.planner = self.session.method

@@ -24,16 +24,17 @@ TURNS = (1.0, 0.5, 0.0, -0.5, -1.0)
 CHUNK = 160
 
 LEAST = 80
-"""Minimum number of safe candidates in the first chunk, unless fewer are left. All candidates of a
-chunk are checked together. The minimum is doubled for each further chunk, because checking a chunk
-takes almost the same time whatever its size."""
+"""Minimum number of safe candidates in the first chunk; if fewer candidates are left, all of them.
+All candidates of a chunk are checked together. The minimum is doubled for each further chunk,
+because checking a chunk takes almost the same time whatever the size of the chunk."""
 
 Strikeable = Callable[[Array, Array], NDArray[np.bool_]]
 """Function that returns which displacements (n, 3) of objects at poses (n, 3) are possible,
 (n,)."""
 
 Selection = Callable[[Array], NDArray[np.bool_]]
-"""Function that returns which displacements (n, 3) from the present pose to keep, (n,)."""
+"""Function that returns which displacements (n, 3) from the present pose remain candidates,
+(n,)."""
 
 
 def alternative_taps(
@@ -52,14 +53,15 @@ def alternative_taps(
     """Generate alternative displacements to command, in chunks, best first.
 
     The candidates cover all directions, several distances (shares of the method's own choice
-    ``first`` and of the largest tap) and several rotations (shares of the cone). They are ranked by
-    the number of taps that the method needs afterwards, computed with the length of the path around
-    obstacles. One tap is added to this number if, after the candidate, the goal is near enough for
-    one tap but that tap is not possible.
-    ``visited``: poses from which the object was tapped before and whose costs were underestimated.
-    ``safe``: function that returns which displacements (n, 3) may be commanded. ``possible``:
-    function that returns which of these the striker can make. Each slower check is applied only to
-    the candidates that passed the faster checks.
+    ``first`` and of the largest tap) and several rotations (shares of the cone). The candidates are
+    ranked by the number of taps that the method needs after them. This number is computed from the
+    length of the path around obstacles. One tap is added to this number if, after the candidate,
+    the goal is near enough for one tap but that tap is not possible.
+    ``visited``: poses from which the object was tapped before, with their stored costs; a candidate
+    that ends near such a pose is assigned at least this cost. ``safe``: function that returns which
+    displacements (n, 3) may be commanded. ``possible``: function that returns which of these the
+    striker can make. Each slower check is applied only to the candidates that passed the faster
+    checks.
     """
     number = gains.value
     made = candidate_taps(pose, goal, first, number, planner, paths.length, tap)
@@ -104,8 +106,8 @@ class Candidates(NamedTuple):
     """Candidates that can replace the tap chosen by the method; m is their number for each pose.
 
     commanded: displacements, (..., m, 3). after: poses after the taps, (..., m, 3). cost: lower
-    bound of the number of taps after each candidate, (..., m); infinite if no path leads from there
-    to the goal.
+    bound of the number of taps after each candidate, (..., m); infinite if no path leads from the
+    pose after the candidate to the goal.
     """
 
     commanded: Array

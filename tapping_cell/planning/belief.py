@@ -1,8 +1,8 @@
 """A bank of Kalman filters that is robust to a wrong prior, to outliers and to lasting changes.
 
 Each filter of the bank starts from a prior of a different width (static multiple models: Magill,
-IEEE Trans. Automatic Control 10, 1965). The narrow prior suits most objects. For an object that
-differs greatly from the expected values, a filter with a wide prior gives a good estimate after
+IEEE Trans. Automatic Control 10, 1965). The narrow prior suits most objects. For an object whose
+values differ greatly from the expected ones, a filter with a wide prior gives a good estimate after
 only one additional measurement. A measurement may be an outlier (a bumped object, a striker that
 missed). Each filter weights measurements by the probability that they are valid (probabilistic data
 association: Bar-Shalom and Tse, Automatica 11, 1975). The true values may also change permanently.
@@ -99,8 +99,8 @@ class Belief:
         return np.asarray(np.sqrt(np.einsum("...h,...hi->...i", share, own + off * off)))
 
     def quantile(self, slope: ArrayLike, probability: float, noise: ArrayLike = 0.0) -> Array:
-        """Compute a quantile (...,) of the scalar product slope . numbers plus noise, over all
-        filters including the candidate.
+        """Compute a quantile, (...,), of the scalar product of slope and numbers, plus noise, over
+        all filters including the candidate.
 
         slope: (..., numbers). noise: standard deviation of the added noise, (...,).
         """
@@ -124,7 +124,7 @@ class Belief:
         share: ArrayLike,
         floor: ArrayLike,
     ) -> tuple[Belief, Array]:
-        """Update the belief with a measurement of the scalar product slope . numbers.
+        """Update the belief with a measurement of the scalar product of slope and numbers.
 
         Returns the new belief and the probability that the measurement is valid.
 

@@ -34,9 +34,9 @@ degrees."""
 class Coverage(NamedTuple):
     """Coverage at points of the working area.
 
-    points: (n, 2), m. reached: (n, tappers), whether the tapper can tap an object there at every
-    orientation. dead: (n,), whether there is an orientation at which an object there cannot be
-    tapped inward."""
+    points: (n, 2), m. reached: (n, tappers), whether the tapper can tap an object at the point in
+    every orientation. dead: (n,), whether there is an orientation in which an object at the point
+    cannot be tapped inward."""
 
     points: Array
     reached: BoolArray

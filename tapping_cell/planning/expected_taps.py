@@ -6,9 +6,11 @@ frame of the tap, is ::
 
     (r cos phi - s (1 + a), -r sin phi + s c)
 
-with the scatter a of the distance and c of the direction. Nodes of equal probability represent the
-distribution of the residual's length on the plan's grid of distances. The rotation is independent
-of this length, as in ``value_iteration``.
+with the relative error a of the distance and the error c of the direction. Each of the two errors
+is represented by values of equal probability, its nodes. Each pair of nodes gives a length of the
+residual. The weight of this length is divided between the two neighbouring points of the plan's
+grid of distances by linear interpolation. The rotation is independent of this length, as in
+``value_iteration``.
 """
 
 from __future__ import annotations
@@ -88,9 +90,9 @@ def normal_nodes(count: int) -> Array:
 
 
 def _radial_weights(grid: Array, lengths: Array, box: float) -> tuple[Array, Array]:
-    """Return the weights for linear interpolation at lengths (n, nodes) on a grid, averaged over
-    the nodes, (n, grid), and the part of these weights due to lengths inside the box, (n, grid up
-    to the box)."""
+    """Return the weights, (n, grid), for linear interpolation on a grid at lengths (n, nodes),
+    averaged over the nodes. Also return the part of these weights that is due to lengths inside the
+    box, (n, grid points up to the edge of the box)."""
     rows, nodes = lengths.shape
     index, share = bracket(grid, lengths)
     at = np.arange(rows)[:, None] * grid.size + index

@@ -5,12 +5,13 @@ shortest path).
 
 A tap is defined by a tapper and a length. The lengths tried are a geometric progression, the length
 after which the object is nearest to the goal, and the length that corrects the rotation. A policy
-improvement compares, in every state, the taps by the mean of W (see ``fixed_policy``) over the
+improvement compares the taps of every state by the mean of W (see ``fixed_policy``) over the
 scatter. W is taken from the nearest point of a table that also has points halfway between the grid
 points. The state after a tap is therefore an index, which is computed only once per grid. Between
 improvements, the policy is evaluated by sweeps with a sparse transition matrix of linear
-interpolation weights. A coarse grid is solved first and initialises the fine grid, which compares
-only the taps that are promising on the coarse grid.
+interpolation weights. The problem is first solved on a coarse grid. This solution initialises the
+solution on the fine grid, for which only the taps that are promising on the coarse grid are
+compared.
 """
 
 from __future__ import annotations
@@ -48,25 +49,26 @@ grid."""
 
 WIDEST_STEPS = (0.03, 0.3)
 """Largest steps of the grid, m and rad. One tap can move and rotate the object by such a step. With
-wider steps, plans for large rotations would begin with taps that hardly move the object."""
+larger steps, plans for large rotations would begin with taps that hardly move the object."""
 
 FINE_DISTANCE = 2.0
 """Distance from the goal, in sizes of the stopping box, within which the grid is almost uniform."""
 
 LENGTHS = (8, 12)
-"""Number of tap lengths, in geometric progression, that are tried in a state: on the coarse grid
-and on the finer ones."""
+"""Numbers of tap lengths, in geometric progression, that are tried in a state: the first on the
+coarse grid, the second on the finer grids."""
 
 OUTER = 0.020
-"""Distance, m, outside the working area up to which the policy is computed, because a tap may move
-the object out of the area."""
+"""The policy is also computed up to this distance, m, outside the working area, because a tap may
+move the object out of the area."""
 
 POINTS = (4, 8)
-"""Number of equally likely points that represent a tap's scatter while solving: on the coarse grid
-and on the finer ones."""
+"""Numbers of equally likely points that represent a tap's scatter while solving: the first on the
+coarse grid, the second on the finer grids."""
 
 IMPROVEMENTS = (3, 4)
-"""Maximum number of policy improvements on the coarse grid and on the finer ones."""
+"""Maximum numbers of policy improvements: the first on the coarse grid, the second on the finer
+grids."""
 
 SWEEPS = 20
 SETTLED = 0.01
@@ -92,11 +94,11 @@ class Abandoned(Exception):
 
 
 def solve_coarse(space: FixedStrikeSpace, settings: PlannerSettings, goal: ArrayLike) -> Solution:
-    """Solve for a goal on the coarse grid, which is fast and sufficient far from the goal.
+    """Solve for a goal on the coarse grid. This is fast, and accurate enough far from the goal.
 
     If the first tap comes from this solution, runs need 0.05 taps (0.04 s) more than if it comes
-    from a grid of ratio 0.5 (300 tasks at each of three goals). As that grid takes 0.15 s longer to
-    solve, this one is used.
+    from a grid of ratio 0.5 (300 tasks at each of three goals). As the solution on the grid of
+    ratio 0.5 takes 0.15 s longer, the coarse grid is used.
     """
     place = np.asarray(goal, dtype=float)
     problem = _Problem(space, settings, place, COARSE, LENGTHS[0], POINTS[0])
@@ -132,11 +134,11 @@ def _solve_on(problem: _Problem, improvements: int, start: Solution | None) -> S
 
 
 class _Axis:
-    """Lookup table for the points of one axis, including the points halfway between grid points: it
-    finds the nearest one, ten times as fast as a logarithm.
+    """Lookup table for the points of one axis: the grid points and the points halfway between them.
+    It finds the nearest point ten times as fast as a computation with a logarithm.
 
-    ``stride``: stride of the axis in the flat value table. Coordinates beyond the axis have the
-    index ``beyond``.
+    ``stride``: stride of the axis in the flat value table. Coordinates beyond the ends of the axis
+    have the index ``beyond``.
     """
 
     def __init__(self, grading: Grading, size: int, stride: int, beyond: int, most: float) -> None:

@@ -4,7 +4,7 @@ A state is the object's error relative to one goal. Each goal is solved separate
 object's position on the table determines which tappers can hit it and how.
 
 The grid is graded: its steps are uniform near the goal and then grow in proportion to the distance
-from it, up to a largest step. The step is limited because the expected number of taps is
+from the goal, up to a largest step. The step is limited because the expected number of taps is
 interpolated between grid points: if a single tap cannot move the object by one step, the result is
 far too high. The cell of a state is found without a search.
 
@@ -144,8 +144,8 @@ def states_after(
 
 
 def expected_taps(table: Array, grid: Grid, box: tuple[float, float], after: Array) -> Array:
-    """Return the mean of W, which is 0 in the box, over ``after`` (..., p, 3): the states after a
-    tap at its p scatter points."""
+    """Return the mean of W over ``after`` (..., p, 3), the states after a tap at its p scatter
+    points. For states inside the box, 0 is used in place of W."""
     where = grid.coordinates(after)
     value = map_coordinates(table, where, order=1, mode="constant", cval=LOST)
     inside = (np.hypot(after[..., 0], after[..., 1]) <= box[0]) & (np.abs(after[..., 2]) <= box[1])

@@ -46,20 +46,20 @@ LENGTHS = 32
 """Number of tap lengths, in geometric progression, that a decision compares per tapper."""
 
 AROUND = np.array([0.94, 0.97, 1.0, 1.03])
-"""Multiples of two lengths that a decision compares as well: the length that ends nearest to the
-goal and the length that corrects the rotation."""
+"""Multiples of two lengths that a decision compares as well: the length after which the object is
+nearest to the goal and the length that corrects the rotation."""
 
 POINTS = 24
 """Number of equally likely points that represent the scatter in a decision."""
 
 DEVIATIONS = 3.0
-"""Number of standard deviations by which a slide may deviate from the prediction and must still
-stay on the table and off the keep-outs."""
+"""A slide must stay on the table and off the keep-outs even if it deviates from the prediction by
+this number of standard deviations."""
 
 RETRIEVABLE = 1.5
-"""Number of standard deviations by which a slide may deviate from the prediction and must still end
-where another tap can bring the object back. For an object that was never tapped, the upper bound of
-a slide is then 1.4 times the slide predicted from its file."""
+"""A slide must end where another tap can bring the object back even if it deviates from the
+prediction by this number of standard deviations. For an object that was never tapped, the upper
+bound of a slide is then 1.4 times the slide predicted from its file."""
 
 WAY = np.linspace(0.25, 1.0, 4)
 """Fractions of a slide at which the object's distance to the keep-outs is checked."""
@@ -121,7 +121,8 @@ class FixedTapperSession(GoalSession):
 
     @property
     def ready(self) -> bool:
-        """True if the goal is solved, at least on the coarse grid."""
+        """True if a decision can be made: the goal is refused, or a solution for it exists, at
+        least on the coarse grid."""
         return self._solved is None or self._solved.solution is not None
 
     def observe(

@@ -40,12 +40,12 @@ FINER = (0.33, FINE)
 coarse grid."""
 
 SOLVING_NICENESS, REFINING_NICENESS = 0, 10
-"""Niceness of the process that solves goals on the coarse grid and of the process that refines
-them."""
+"""Niceness of the process that solves goals on the coarse grid and of the process that refines the
+solutions."""
 
 
 class SolvedGoal:
-    """A goal that is solved, or being solved: coarse first, then finer and finer."""
+    """A goal that is solved or being solved, first on the coarse grid and then on finer grids."""
 
     def __init__(self) -> None:
         self._solution: Solution | None = None
@@ -148,9 +148,10 @@ class GoalSolver:
 
 
 class _Worker:
-    """A process that solves goals. It starts immediately and ends with this process.
+    """A process that solves goals. It starts immediately and ends with the process that created it.
 
-    ``take`` is called in a thread, with a job and each of its solutions or with the error.
+    ``take`` is called in a thread for each solution, with the job and this solution. If solving
+    fails, it is called with the job and the error.
     """
 
     def __init__(

@@ -27,14 +27,14 @@ from tapping_cell.se2 import Pose, unit_vectors
 
 STEEPEST = math.radians(60.0)
 """Largest incidence of a tap. With a larger incidence, a small error of the striker's line could
-make it graze or miss the object."""
+make the striker graze or miss the object."""
 
 STROKE_MARGIN = 0.003
 """Minimum stroke that must remain when the tip touches the object, m."""
 
 BESIDES_FLIGHT_S = 0.40
-"""Mean time of a tap, s, that is not the striker's flight to the object: the messages to the board,
-the slide, the images of the object at rest and the decision."""
+"""Mean duration, s, of the parts of a tap other than the striker's flight to the object: the
+messages to the board, the slide, the images of the object at rest and the decision."""
 
 MEAN_TAP_S = 0.65
 """Mean time of a tap, s: the unit of W (see ``fixed_policy``) if the objective is time."""

@@ -143,8 +143,8 @@ class FreeSpace:
         return np.asarray(corner + CELL * np.concatenate(edges))
 
     def nearest_cells(self, points: ArrayLike) -> tuple[NDArray[np.intp], Array]:
-        """Return the flat index of the tappable cell nearest to each point, and its distance, m,
-        which is inf if there is none.
+        """Return the flat index of the tappable cell nearest to each point, and the distance of
+        this cell from the point, m; the distance is inf if no cell is tappable.
 
         Accurate to the size of a cell: all points in one cell have the same nearest cell.
         """
@@ -182,8 +182,8 @@ class FreeSpace:
 
 
 class PathLengths:
-    """Path lengths to one goal: the straight distance where the straight line is free, else the
-    length of the path around obstacles."""
+    """Path lengths to one goal: the straight distance if the straight line is free, else the length
+    of the path around obstacles."""
 
     def __init__(self, free: FreeSpace, goal: Array) -> None:
         self._free = free
@@ -210,8 +210,8 @@ class PathLengths:
 
 
 def widest_gap(space: StrikeSpace, centres: ArrayLike) -> Array:
-    """Return the largest gap between directions of possible taps for objects at ``centres`` (...,
-    2), rad.
+    """Return the largest gap, rad, between neighbouring directions of possible taps for objects at
+    ``centres`` (..., 2).
 
     The gap is computed for taps that rotate the object to the left, to the right and not at all;
     the largest of the three is returned. Only the arm's reach and the clearance of the tool are

@@ -12,8 +12,8 @@ at its middle: the rotation per distance (rad/m) that a tap through the middle c
 the friction coefficient changes distance and rotation by the same factor. The rotation is therefore
 divided by the measured distance, so that G describes only the torque of the friction. Each estimate
 is a ``Belief``. The prior of each belief is a mixture of a narrow distribution, for an accurate
-object file, and wide ones. Measurements are weighted by the tap's scatter and the camera's noise,
-and outliers are distinguished from lasting changes.
+object file, and wide distributions, for an inaccurate one. Measurements are weighted by the tap's
+scatter and the camera's noise, and outliers are distinguished from lasting changes.
 """
 
 from __future__ import annotations
@@ -47,9 +47,9 @@ DISTANCE = Prior(
     change=1,
     span=4.0,
 )
-"""Prior of ln(distance gain): a mixture of a narrow distribution (standard deviation 4 %) for an
-object that matches its file and a wide one for a friction that differs from the file by a factor of
-up to 4."""
+"""Prior of ln(distance gain): a mixture of a narrow distribution (standard deviation 4 %), for an
+object that matches its file, and a wide one, for a friction that differs from the file by a factor
+of up to 4."""
 
 ROTATION = Prior(
     weight=np.array([0.60, 0.20, 0.12, 0.08]),
@@ -74,8 +74,8 @@ DIRECTION = Prior(
 degrees."""
 
 MIN_SLOPE = 0.1
-"""Standard deviation, rad/m, of the rotation per distance of a tap without commanded rotation. It
-corresponds to a position error of the arm of 0.2 mm for the paper's disk."""
+"""Standard deviation, rad/m, of the rotation per distance of a tap without commanded rotation. For
+the paper's disk, this value corresponds to a position error of the arm of 0.2 mm."""
 
 KEPT = 0.95
 """Probability that the gains of an earlier run are still valid."""
@@ -84,7 +84,7 @@ MIN_MOVE = 1e-6
 """Length, m, below which a displacement counts as zero."""
 
 UNEXPLAINED = 0.5
-"""A tap counts as an outlier if its probability of being a valid measurement is below this
+"""A tap counts as an outlier if the probability that it is a valid measurement is below this
 value."""
 
 
@@ -351,8 +351,8 @@ class Gains:
     def from_numbers(cls, numbers: dict[str, float]) -> Gains:
         """Restore gains saved by ``as_numbers``, for the same object in a later run.
 
-        The saved numbers replace the narrow priors. The wide priors stay, because friction may have
-        changed, for example with the table or the humidity.
+        The saved numbers replace the narrow priors. The wide priors are kept, because friction may
+        have changed, for example with the table or the humidity.
 
         Raises:
             PlanningError: a number is missing, not finite or outside its bounds.
@@ -388,7 +388,8 @@ def command_of(
     orientation: ArrayLike,
     cone_slope: float = math.inf,
 ) -> Array:
-    """Compute ``Gains.command`` from ``Gains.value`` (..., 6), which broadcasts with the taps."""
+    """Compute ``Gains.command`` from ``number``: ``Gains.value``, (..., 6), whose leading axes
+    broadcast with those of the taps."""
     travel = np.asarray(distance, dtype=float)
     size = np.maximum(np.abs(travel), 1e-12)
     along = np.asarray(heading, dtype=float) + np.where(travel < 0.0, math.pi, 0.0)
@@ -401,7 +402,8 @@ def command_of(
 
 
 def prediction_of(number: Array, commanded: ArrayLike, orientation: ArrayLike) -> Array:
-    """Compute ``Gains.predict`` from ``Gains.value`` (..., 6), which broadcasts with the taps."""
+    """Compute ``Gains.predict`` from ``number``: ``Gains.value``, (..., 6), whose leading axes
+    broadcast with those of the taps."""
     command = np.asarray(commanded, dtype=float)
     length = np.hypot(command[..., 0], command[..., 1])
     slope = command[..., 2] / np.maximum(length, 1e-12)

@@ -34,7 +34,8 @@ class Planner(Protocol):
 
     @property
     def name(self) -> str:
-        """Name of the method that is in use now: a fallback while a plan is being solved."""
+        """Name of the method in use; while a plan is being solved, the name of the fallback
+        method."""
         ...
 
     @property
@@ -58,8 +59,8 @@ class TapValues(Protocol):
     def taps_after(
         self, distance: float, rotation: float, aside: Array, sizes: Array, turns: Array
     ) -> Array | None:
-        """Return the expected number of further taps after a tap, (directions, sizes, turns), which
-        is infinite outside the cone. Return None while no solution is available.
+        """Return the expected number of further taps after a tap, (directions, sizes, turns);
+        infinite outside the cone. Return None while no solution is available.
 
         distance, rotation: residual before the tap, m and rad. aside: directions of the tap
         relative to the direction of the goal, rad. sizes: lengths of the tap, m, above 0.

@@ -1,9 +1,9 @@
 """Storage of learnt gains between runs: one small file per object and cell.
 
-The file is ``$XDG_STATE_HOME/tapping_cell/gains/<cell>/<object>.json``, or below ``~/.local/state``
-if the variable is not set. Gains are saved only on request, because they are valid only for one
-object on one table at one humidity, and gains learnt in a simulated cell are valid only for that
-cell.
+The file is ``$XDG_STATE_HOME/tapping_cell/gains/<cell>/<object>.json``. If the variable is not set,
+``~/.local/state`` is used in its place. Gains are saved only on request, because they are valid
+only for one object on one table at one humidity, and gains learnt in a simulated cell are valid
+only for that cell.
 """
 
 from __future__ import annotations

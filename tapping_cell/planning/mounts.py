@@ -1,10 +1,10 @@
 """Online estimation of the mount errors of fixed tappers.
 
 A mount error is an ``offset`` of the striker's line of travel (m, to the left of its direction) and
-an ``angle`` (rad). It changes the contact, and therefore the direction of the tap (by about 0.7
-degrees per mm for the paper's disk) and its rotation per distance. Every tap measures both. A
-Kalman filter estimates the offset and the angle of the tapper that fired, with derivatives from
-finite differences of the mechanics.
+an ``angle`` (rad). A mount error changes the contact, and therefore the direction of the tap (by
+about 0.7 degrees per mm for the paper's disk) and its rotation per distance. Every tap measures
+this direction and this rotation. A Kalman filter estimates the offset and the angle of the tapper
+that fired, with derivatives from finite differences of the mechanics.
 """
 
 from __future__ import annotations

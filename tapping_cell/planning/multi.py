@@ -1,17 +1,17 @@
 """Multi-tap plans: cones chained backwards from the stopping box (Huang and Mason, section 4.3).
 
-Cone 0 is the box. A state belongs to cone i if there is a tap that moves it into the cones below i,
-whatever the error of the tap's rotation. The possible rotations of a tap form its error line: from
-the commanded rotation times 1 - ``error_line`` to that times 1 + ``error_line``. At each distance
-r, the states of cone i form an interval |theta| <= h_i(r); it has no gaps, because commanded
-rotations can have any value from 0 to the largest. With s = ``error_line`` and the slope k of the
-cone of a tap,
+Cone 0 is the box. A state belongs to cone i if there is a tap that moves it into a cone with a
+lower number, whatever the error of the tap's rotation. The possible rotations of a tap form its
+error line: from (1 - ``error_line``) to (1 + ``error_line``) times the commanded rotation. At each
+distance r, the states of cone i form an interval |theta| <= h_i(r); it has no gaps, because
+commanded rotations can have any value from 0 to the largest. With s = ``error_line`` and the slope
+k of the cone of a tap,
 
     h_i(r) = largest over taps d of  H + (1 - s) min(k |d|, H / s),   H = h_(i-1)(|r - d|)
 
 so that the rotation that remains after the tap is between -H and H at both ends of the error line.
-The paper's task takes five taps with error lines of 60 %, and two taps with 30 %. These numbers are
-guaranteed as long as the errors stay within the lines.
+The paper's task takes five taps with error lines of 60 %, and two taps with 30 %. These numbers of
+taps are guaranteed as long as the errors stay within the error lines.
 """
 
 from __future__ import annotations
@@ -143,7 +143,8 @@ class MultiPlanner:
         return np.column_stack([own, np.broadcast_to(self._taps, (r.size, self._taps.size))])
 
     def _chain(self) -> Array:
-        """Compute the openings of the cones, until the outermost cone contains every state."""
+        """Compute the half widths h_i of the cones, one cone after the other, until the outermost
+        cone contains every state or a cone is no larger than the one before."""
         settings, line = self.settings, self.error_line
         taps = self._taps_at(self.distances)
         end = np.abs(self.distances[:, None] - taps)

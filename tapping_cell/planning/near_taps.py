@@ -1,13 +1,14 @@
 """Choice, among taps of all directions, of the tap that brings an object to its goal soonest.
 
-Many taps are nearly as good as the method's own: if two taps are needed, the first may lead almost
-anywhere. The tap with the least expected time is chosen ::
+Many taps are nearly as good as the tap that the method chooses: if two taps are needed, the first
+may lead almost anywhere. The tap with the least expected time is chosen ::
 
     t(tap) + E[taps that follow] t_mean + P (t(next) - t_way).
 
 t(tap) is the duration of the arm's motion to this strike, and t(next) that of the motion from there
-to the strike towards the goal, which follows with probability P. t_way is the mean duration of such
-motions, and t_mean the mean duration of a tap.
+to the strike towards the goal. P is the probability that the strike towards the goal is the next
+one. t_way is the mean duration of the arm's motions to a strike, and t_mean the mean duration of a
+tap.
 """
 
 from __future__ import annotations
@@ -88,8 +89,9 @@ def best_first(
 ) -> Array:
     """Return the possible taps in the order of their expected times, (m, 3).
 
-    After some taps the arm or the tool cannot make the tap straight to the goal. The cost of such a
-    tap is increased by the probability that the straight tap would be the next one.
+    After some of these taps, the arm or the tool cannot make a second tap straight to the goal. The
+    cost of such a first tap is increased by the probability that the next tap would be the straight
+    one.
 
     ``space``: strike space; ``times``: durations of the arm's motions; ``tip``: pose of the arm's
     tip, x, y, height, yaw in `table`. The other arguments are as for ``near_taps``.

@@ -13,9 +13,9 @@ def nominal_taps(distance: ArrayLike, rotation: ArrayLike, settings: PlannerSett
     """Return the number of taps that would be needed if taps had no errors: 0 in the box, 1 in the
     cone, 2 or more outside the cone.
 
-    Far from the goal the number grows with the path length, which is the larger of the distance and
-    the rotation divided by the cone's slope. A small share of this length is added, so that the
-    nearer of two states with the same number of taps has the lower value.
+    Far from the goal the number grows with the path length. This is the larger of two lengths: the
+    distance, and the rotation divided by the cone's slope. A small share of this length is added,
+    so that the nearer of two states with the same number of taps has the lower value.
     """
     r, theta = np.asarray(distance, dtype=float), np.abs(np.asarray(rotation, dtype=float))
     k, most = settings.cone_slope, settings.largest_distance

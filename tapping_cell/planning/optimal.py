@@ -16,8 +16,8 @@ from tapping_cell.planning.two_tap import ExactPlanner
 from tapping_cell.planning.value_iteration import Solution, solutions
 
 ALIKE = 0.35
-"""Taps at neighbouring grid points are interpolated if they differ by at most this share of the
-longest of them."""
+"""Taps at neighbouring grid points are interpolated if their distances differ by at most this share
+of the longest tap, and their rotations by at most this share of its largest rotation."""
 
 
 class OptimalPolicy:
@@ -51,8 +51,9 @@ class OptimalPolicy:
         return Taps(tap, sense * np.minimum(turn, most))
 
     def taps_to_go(self, distance: ArrayLike, rotation: ArrayLike) -> Array:
-        """Return the expected number of taps for these residuals, 0 inside the box. Beyond the
-        grid, one tap is added for each length of the largest tap."""
+        """Return the expected number of taps for these residuals, 0 inside the box. For residuals
+        beyond the grid, one tap is added per multiple of the largest tap by which they exceed the
+        grid."""
         # Rotations are divided by the learnt gain and may therefore exceed half a turn, where the
         # grid ends.
         most = self.settings.largest_distance
@@ -88,7 +89,7 @@ class OptimalPlanner:
 
     While a plan is solved in the background, the taps come from exact two-tap plans, then from the
     plan on the coarse grid as soon as it is ready, and finally from the plan on the fine grid.
-    ``name`` contains the method in use.
+    ``name`` states which of these is in use.
     """
 
     def __init__(self, settings: PlannerSettings, *, background: bool = False) -> None:

@@ -1,9 +1,9 @@
 """Cache of solved plans on disk, with file names that depend on the settings.
 
-Each plan is a file in ``$XDG_CACHE_HOME/tapping_cell/policies`` (``~/.cache`` if the variable is
-not set). A file is written under a temporary name and renamed, so that readers never see an
-incomplete file. If a file cannot be read, the plan is solved again. If a file cannot be written,
-the plan is solved again the next time.
+Each plan is a file in ``$XDG_CACHE_HOME/tapping_cell/policies``. If the variable is not set,
+``~/.cache`` is used in its place. A file is written under a temporary name and renamed, so that
+readers never see an incomplete file. If a file cannot be read, the plan is solved again. If a file
+cannot be written, the plan is solved again the next time.
 """
 
 from __future__ import annotations

@@ -1,11 +1,11 @@
 """A single tap with a prescribed striker speed and incidence; the contact point is free.
 
-Such taps are for experiments that measure the object, in which the planner must not choose the tap.
-The contact is chosen among those whose normal passes through the centre of mass (every contact of a
-round body, one contact per edge of a polygon), so that the rotation depends on the incidence alone.
-Before the experiment the object's mechanics are known only roughly. The model only has to be
-accurate enough to keep the object on the table and in the camera's view, and the required clearance
-allows for large errors of the model (``MODEL_DEVIATION``).
+Such taps are for experiments that measure the object. In these experiments the planner must not
+choose the tap. The contact is chosen among those whose normal passes through the centre of mass
+(every contact of a round body, one contact per edge of a polygon), so that the rotation depends on
+the incidence alone. Before the experiment the object's mechanics are known only roughly. A model is
+sufficient if it is accurate enough to keep the object on the table and in the camera's view. The
+required clearance allows for large errors of the model (``MODEL_DEVIATION``).
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ METHOD = "prescribed"
 
 MODEL_DEVIATION = Scatter(distance=0.10, rotation=0.20, direction=math.radians(2.0))
 """Standard deviations of the model's error. Errors of 20 % in friction, restitution and torque
-factor change the distance by about 30 %, which is three of these standard deviations."""
+factor change the distance by about 30 %, that is, by three standard deviations of the distance."""
 
 LARGEST_INCIDENCE = math.radians(60.0)
 """Largest allowed incidence. With a larger incidence, a striker slightly off its line may graze or
@@ -226,7 +226,7 @@ class PrescribedSession:
         safe: BoolArray,
         in_view: ArrayLike | None,
     ) -> dict[str, BoolArray]:
-        """Return, for each kind of problem, which contacts have it, (n,)."""
+        """Return, for each kind of problem, which contacts have this problem, (n,)."""
         space = self._space
         off_contact = (
             made.missed

@@ -58,8 +58,8 @@ def make_planner(
     Args:
         name: one of ``planner_names()``.
         settings: settings of the method; by default those of the paper's cell.
-        background: return immediately and solve the plan of ``optimal`` in a thread; until it is
-            solved, another method is used. All other methods are ready at once and ignore this
+        background: return immediately and solve the plan of ``optimal`` in a thread; until the plan
+            is solved, another method is used. All other methods are ready at once and ignore this
             argument.
 
     Raises:

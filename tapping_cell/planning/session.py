@@ -40,7 +40,8 @@ ELSEWHERE = math.radians(20.0)
 """Minimum change of the tap's direction after a miss, because the same tap would miss again."""
 
 WORTH_OBSERVING = 0.02
-"""Minimum probability of being within the tolerance for requesting a longer observation."""
+"""A longer observation is requested only if the probability that the object is within the tolerance
+is at least this value."""
 
 PROBE_SIZE = 1.5
 """Length of a probe tap, as a multiple of the smallest tap's length."""
@@ -50,15 +51,15 @@ MAX_PROBES = 3
 PROBE_HEADINGS = np.arange(24) * (2.0 * math.pi / 24)
 
 UNKNOWN = 1.6
-"""Ratio of the longest possible slide to the predicted slide, above which the object is probed
-first. For an object that matches its file, the ratio is 1.2 after one tap."""
+"""If the ratio of the longest possible slide to the predicted slide is above this value, the object
+is probed first. For an object that matches its file, the ratio is 1.2 after one tap."""
 
 JUDGING_ROTATION = ((3, 0.975), (6, 0.84))
 """Criteria (number of taps, probability) for refusing an object that does not rotate. After this
-number of taps that are not outliers, the object is refused if its rotation gain is below the least
-gain with this probability. The second criterion is weaker, because further taps hardly improve the
-estimate of a gain slightly below the least gain. Without it, a run with such an object would end
-only at the maximum number of taps."""
+number of taps that are not outliers, the object is refused if its rotation gain is, with this
+probability, below the least gain. The second criterion is weaker, because further taps hardly
+improve the estimate of a gain slightly below the least gain. Without this criterion, a run with
+such an object would end only at the maximum number of taps."""
 
 MIN_ROTATION_GAIN = float(LOWEST[NAMES.index("rotation")])
 
@@ -160,8 +161,8 @@ class GoalSession(ABC):
 
     @property
     def ready(self) -> bool:
-        """True if a decision can be made. A session that requires a solution is ready once it is
-        available."""
+        """True if a decision can be made. A session that requires a solution is ready once the
+        solution is available."""
         return True
 
     @abstractmethod
@@ -354,16 +355,16 @@ class PositioningSession(GoalSession):
         goal_pose: x, y (m), theta (rad) of the object in `table`.
         planner: planning method; its settings hold the tolerance and the box.
         space: the set of possible strikes.
-        free: map of tappable places in ``space``. If None, the map is computed here, which takes
-            about 0.1 s; reuse one map for several goals.
+        free: map of tappable places in ``space``. If None, the map is computed here. This takes
+            about 0.1 s, so reuse one map for several goals.
         gains: gains learnt about the object in earlier runs.
         times: durations of the arm's motions; None if unknown.
         objective: "taps" chooses the fewest taps, "time" the taps that reach the goal in the least
-            time. The latter requires ``times`` and a method that implements
-            ``interface.TapValues``, and ``arm`` must be set before a decision.
+            time. "time" requires ``times`` and a method that implements ``interface.TapValues``,
+            and ``arm`` must be set before a decision.
         adapt: whether ``observe`` learns.
-        probe: begin with a few of the smallest taps, which measure friction and rotation of an
-            unknown object.
+        probe: begin with a few taps of the smallest size, to measure the friction and the rotation
+            of an unknown object.
         most_taps: maximum number of taps of the run.
     """
 
@@ -666,7 +667,7 @@ class PositioningSession(GoalSession):
 
     def _longest_tap(self) -> float:
         """Return the length of the longest tap allowed now, m. After an outlier the length is
-        reduced, so that an object that has changed slides no farther than the largest tap."""
+        reduced, so that a changed object slides no farther than the largest tap."""
         settings = self.planner.settings
         if not bool(self.gains.surprised):
             return settings.largest_distance
@@ -747,8 +748,8 @@ class PositioningSession(GoalSession):
         )
 
     def _leads_back(self, pose: Array, commanded: Array) -> bool:
-        """Return whether a displacement (3,) ends at a place that took more taps than estimated
-        before."""
+        """Return whether a displacement (3,) ends near a visited pose from which at least one tap
+        more is needed than the method estimates."""
         after = (pose + self.gains.predict(commanded, pose[2]))[None, :]
         left = self.residual(after[0])
         distance, turn, _ = self.gains.to_plan(left)

@@ -106,9 +106,9 @@ class PlannerSettings:
     smallest_distance, largest_distance: limits of the distance of one tap, m.
     tolerance_position, tolerance_angle: allowed final error, m and rad.
     box: size of the stopping box as a share of the tolerance, independent of the camera's noise,
-        for planning and stopping. With None, the session stops by the probability of being within
-        the tolerance, and plans are made for the box within which a long observation confirms the
-        goal.
+        for planning and stopping. If None, the session stops according to the probability that the
+        object is within the tolerance, and plans are made for the box within which a long
+        observation confirms the goal.
     variant: two-tap plan of ``exact`` and ``conservative``: "retreat" first taps away from the
         goal, "overshoot" first taps past it.
     error_line: half length of a tap's error line as a share of its rotation, for ``conservative``
@@ -169,6 +169,6 @@ class PlannerSettings:
         )
 
     def key(self) -> str:
-        """Return a string that identifies a plan: it is equal if and only if the settings are
-        equal."""
+        """Return a string that identifies a plan: two strings are equal if and only if the settings
+        are equal."""
         return ";".join(f"{item.name}={getattr(self, item.name)!r}" for item in fields(self))

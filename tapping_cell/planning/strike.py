@@ -45,7 +45,7 @@ class StrikeSettings:
 
     standoff: distance from the tip at rest to the contact, along the line of travel.
     tool_radius, tool_start, tool_length: half width of the bar behind the tip, and the distances
-        from the centre of the tip to its start and its end.
+        from the centre of the tip to the start and the end of the bar.
     clearance: minimum gap between the tool at rest and the object.
     slowest, fastest: speed limits of the striker.
     footprint: size of the uncertainty bound, in standard deviations, for which a slide must stay
@@ -113,9 +113,9 @@ class StrikeSpace:
         scatter: Scatter | None = None,
     ) -> None:
         self.tap = replace(tap, sliding=tap.sliding.tabulated(), smallest_distance=0.0)
-        """The mechanics, with tabulated slides for a polygon. Its smallest distance is 0, because
-        that limit applies to the true distance, whereas commands are scaled by the learnt gains;
-        the planning method applies the limit."""
+        """The mechanics, with tabulated slides for a polygon. Their smallest distance is set to 0,
+        because this limit applies to the true distance, whereas commands are scaled by the learnt
+        gains; the planning method applies the limit."""
         self.workspace = workspace
         self.settings = StrikeSettings() if settings is None else settings
         self.scatter = Scatter() if scatter is None else scatter
@@ -188,8 +188,8 @@ class StrikeSpace:
         return transform_points(poses[..., None, :], points)
 
     def tool_is_clear(self, tip_poses: ArrayLike) -> BoolArray:
-        """Return whether the tip and the bar at tip poses (..., 3) avoid the keep-outs and stay
-        within the allowed overhang of the table."""
+        """Return whether, at tip poses (..., 3), the tip and the bar avoid the keep-outs and extend
+        beyond the edges of the table by no more than the allowed overhang."""
         poses = np.asarray(tip_poses, dtype=float)
         bar = self.workspace.striker_clearance(self.tool_points(poses)) >= self.settings.tool_radius
         tip = self.workspace.striker_clearance(poses[..., :2]) >= self.tip_radius

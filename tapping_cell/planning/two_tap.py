@@ -25,8 +25,8 @@ ROUNDING = 1e-6
 """Relative tolerance at the edge of the cone, because exact plans end exactly on the edge."""
 
 ERROR_LINE = 0.3
-"""Relative error of the rotation that conservative plans allow for: twice the standard deviation,
-which is 15 % (section 3.1.1 of the paper)."""
+"""Relative error of the rotation that conservative plans allow for: twice the standard deviation of
+15 % (section 3.1.1 of the paper)."""
 
 
 @dataclass(frozen=True, slots=True)

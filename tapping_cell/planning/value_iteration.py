@@ -2,8 +2,8 @@
 
 Source: Bertsekas, *Dynamic Programming and Optimal Control*, 2012, vol. 2, ch. 3.
 
-The state is the distance r >= 0 and the rotation theta >= 0 to the goal (the other sense is the
-mirror image). A tap (d, turn) changes the state to ::
+The state is the distance r >= 0 and the rotation theta >= 0 to the goal (a rotation in the opposite
+sense gives the mirror image). A tap (d, turn) changes the state to ::
 
     r'     = hypot(r - d (1 + a), |d| c)     a, c: scatter of distance and direction
     theta' = |theta - turn (1 + b)|          b: scatter of the rotation
@@ -94,7 +94,7 @@ class Solution(NamedTuple):
 
 
 def solve(settings: PlannerSettings) -> Solution:
-    """Solve the shortest path for these settings, which takes a few seconds."""
+    """Solve the shortest path for these settings; this takes a few seconds."""
     *_, finest = solutions(settings)
     return finest
 

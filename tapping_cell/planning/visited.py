@@ -1,4 +1,5 @@
-"""Memory of the poses from which the object was tapped, so that it does not move in circles.
+"""Memory of the poses from which the object was tapped, so that the object does not move in
+circles.
 
 The ranking of alternative taps looks only one tap ahead. If the path assumed by this ranking is not
 possible, for example because a polygon cannot be struck in its direction, the best tap may lead to
@@ -43,8 +44,8 @@ class VisitedPoses:
         self._costs = np.append(self._costs, cost)
 
     def extra(self, poses: Array, cost: Array) -> Array:
-        """Return, for poses (n, 3) with the estimated costs ``cost`` (n,), by how many taps the
-        costs stored for visited poses nearby exceed these estimates, (n,)."""
+        """Return, for poses (n, 3), the number of taps, (n,), by which the costs stored for visited
+        poses nearby exceed the estimated costs ``cost`` (n,)."""
         if not self._costs.size:
             return np.zeros(cost.shape)
         apart = poses[:, None, :] - self._poses

@@ -82,7 +82,7 @@ class Workspace:
     length, width: size of the table area along x and y, centred on the table's origin, m.
     edge_margin: minimum distance of the object's outline from an edge, m.
     keep_outs: areas that the object and the striker must not enter.
-    keep_out_margin: minimum distance of both from a keep-out, m.
+    keep_out_margin: minimum distance of the object and of the striker from a keep-out, m.
     overhang: largest distance of the striker beyond the edges, m.
     """
 

@@ -189,7 +189,7 @@ def _errors(figure: Figure, report: SingleTapReport) -> None:
         axes.grid(axis="y", **_GRID)
     largest = np.nanmax(np.abs([[*r.sliding, *r.inverse, *r.impact, *r.tap] for r in report.runs]))
     all_axes[0].set_ylim(-1.25 * max(largest, 1.0), 1.25 * max(largest, 1.0))
-    all_axes[0].set_ylabel("error of the run's mean (%)")
+    all_axes[0].set_ylabel("prediction error for the run's mean (%)")
     handles, labels = all_axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc=_BELOW, ncols=2, fontsize=8, frameon=False)
 

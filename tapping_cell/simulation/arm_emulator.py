@@ -47,7 +47,7 @@ class ArmEmulator(ABC):
         return self._output.take(now)
 
     def _power(self, now: float) -> None:
-        """Enable the motors. If the quill sank while they had no power, it is held at its lower
-        position, but the step count still gives the old one."""
+        """Enable the motors. If the quill sank while they had no power, the quill is now held at
+        its lower position, but the step count still gives the position before it sank."""
         self._axes.enable(now)
         self._rests_since = now

@@ -107,9 +107,9 @@ def convex_coverage(
     # In a sample row, the polygon covers the interval from its left end to its right end. Its
     # coverage is the area left of the right end minus the area left of the left end. The area to
     # the left of an end consists of all cells before the end and a part of the cell that contains
-    # the end. For both ends, 1 is subtracted in every cell, which cancels. `change` contains the
-    # differences of the coverage between adjacent cells, so that a cumulative sum yields the
-    # coverage.
+    # the end. For both ends, 1 is subtracted in every cell, and these terms cancel. `change`
+    # contains the differences of the coverage between adjacent cells, so that a cumulative sum
+    # yields the coverage.
     change = np.zeros((rows, columns + 2))
     row = np.arange(rows * rows_each) // rows_each
     for end, sign in ((right, 1.0), (left, -1.0)):

@@ -25,15 +25,15 @@ SMALLEST_RESTITUTION = 0.05
 """Minimum restitution. With a lower value, the spring of the unloading would be so stiff that very
 short steps would be needed."""
 _STEPS = 100
-"""Number of time steps per contact time (``ContactLaw.contact_time``) in an impact. It is high,
-because the impact determines the object's launch."""
+"""Number of time steps per contact time (``ContactLaw.contact_time``) in an impact. This number is
+high, because the impact determines the object's launch."""
 _COARSE_STEPS = 10
 """Number of time steps per contact time if ball and object approach more slowly than ``_SLOW``
 (m/s), as in a push."""
 _SLOW = 0.005
 _FRICTION_EVERY = 8
-"""Number of steps between updates of the table's friction, which is far weaker than the contact
-force."""
+"""Number of steps between updates of the table's friction. Rare updates suffice, because this
+friction is far weaker than the contact force."""
 _LONGEST_CONTACT_S = 0.02
 """Maximum duration of a contact in one call of ``collide``, s; a longer contact continues in the
 next call."""
@@ -43,10 +43,11 @@ next call."""
 class ContactLaw:
     """Parameters of the contact.
 
-    restitution: of a head-on impact; friction: Coulomb coefficient; contact_time: of an elastic
-    central impact, s; tangential_stiffness: relative to the normal stiffness, 0 for a tangentially
-    rigid contact; oblique_loss: fraction of the restitution that a grazing impact loses,
-    proportional to the squared sine of its angle from the normal.
+    restitution: coefficient of restitution of a head-on impact; friction: Coulomb coefficient;
+    contact_time: duration of an elastic central impact, s; tangential_stiffness: ratio of the
+    tangential to the normal stiffness, 0 for a tangentially rigid contact; oblique_loss: fraction
+    of the restitution that a grazing impact loses, proportional to the squared sine of its angle
+    from the normal.
     """
 
     restitution: float

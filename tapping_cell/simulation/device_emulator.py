@@ -30,7 +30,8 @@ class DeviceEmulator(Protocol):
 
 
 def earliest(*times: float | None) -> float | None:
-    """Return the earliest of several times, of which any may be None; None if all are."""
+    """Return the earliest of several times, of which any may be None; None if all times are
+    None."""
     return min((time for time in times if time is not None), default=None)
 
 

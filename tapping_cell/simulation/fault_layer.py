@@ -25,7 +25,7 @@ class FaultKind(Enum):
     DELAY = "delay"
     """This byte and the bytes that follow within ``duration`` arrive late, in order."""
     DUPLICATE = "duplicate"
-    """A run of bytes is received twice."""
+    """A sequence of bytes is received twice."""
     FLIP = "flip"
     """One bit changes."""
     SPLIT = "split"

@@ -70,13 +70,13 @@ class GrblEmulator(ArmEmulator):
         self._axes.disable(now)
 
     def push(self, joints: tuple[float, float, float, float], now: float) -> None:
-        """Simulate that a person pushes the resting, unpowered arm to ``joints``, which the
-        controller does not detect."""
+        """Simulate a person who pushes the resting, unpowered arm to ``joints``. The controller
+        does not detect this motion."""
         self.advance(now)
         self._axes.push(joints, now)
 
     def hit_limit(self, now: float) -> None:
-        """Close a limit switch, which causes alarm 1."""
+        """Close a limit switch; this causes alarm 1."""
         self.advance(now)
         self._alarm(1, now)
 
@@ -580,5 +580,5 @@ class GrblEmulator(ArmEmulator):
 
 
 def _nothing(now: float) -> None:
-    """Do nothing. This is the waiting action during a dwell and during homing, which end the wait
+    """Do nothing. This action is used during a dwell and during homing, because both end the wait
     themselves. While an action waits, no further lines are processed."""

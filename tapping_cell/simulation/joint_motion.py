@@ -80,7 +80,8 @@ def trapezoid(start: float, length: float, speed: float, acceleration: float) ->
 
 @dataclass(frozen=True, slots=True)
 class AxisErrors:
-    """Errors of the true arm, which its controller does not know; in joint order, rad or m.
+    """Errors of the true arm that do not appear in the controller's reports; in joint order, rad or
+    m.
 
     ``offset``: true joint minus reported joint after homing. ``backlash``: full play of the drive.
     ``repeatability``: standard deviation of the end position at the same target; one error is drawn
@@ -147,8 +148,8 @@ class Torque:
             self._off_since = time
 
     def sunk(self, quill: float, time: float) -> float:
-        """Return the distance by which the quill has sunk from position ``quill`` at ``time``,
-        m."""
+        """Return the distance, m, by which the quill has sunk until ``time``, starting from
+        position ``quill``."""
         if self._off_since is None or time <= self._off_since:
             return 0.0
         return min(self._sinks * (time - self._off_since), max(quill - self._floor, 0.0))

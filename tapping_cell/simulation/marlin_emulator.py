@@ -46,8 +46,8 @@ class MarlinMachine(ArmMachine):
     """Homing speed, units/s."""
     emergency_parser: bool = True
     workspace_offsets: bool = True
-    """Whether ``G92`` shifts the reported position and leaves the step counts as they are, which is
-    Marlin's default. False: a build with NO_WORKSPACE_OFFSETS, whose ``G92`` changes both."""
+    """True, Marlin's default: ``G92`` shifts the reported position but does not change the step
+    counts. False: a build with NO_WORKSPACE_OFFSETS, in which ``G92`` changes both."""
     soft_endstops: bool = False
     soft_low: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
     soft_high: tuple[float, float, float, float] = (200.0, 200.0, 200.0, 200.0)
@@ -159,7 +159,7 @@ class MarlinEmulator(ArmEmulator):
             self._send_line(line, now)
 
     def _idle_out(self, now: float) -> None:
-        """Cut the motors' power after the idle time; a limit of 0 keeps it on."""
+        """Cut the motors' power after the idle time; with a limit of 0, the power stays on."""
         if self._due is not None or self._blocks:
             self._rests_since = now
         elif self._idle_limit and self._rests_since is not None:

@@ -109,7 +109,7 @@ class MotorAxes:
 
     def stop_abruptly(self, time: float) -> bool:
         """Stop the motors immediately and return whether they were moving. Moving motors coast a
-        little, which the controller does not count."""
+        little, and the controller does not count this motion."""
         if not self._track.moving(time):
             return False
         self._track.freeze(time)
@@ -117,16 +117,16 @@ class MotorAxes:
         return True
 
     def push(self, joints: Joints, time: float) -> None:
-        """Simulate that a person pushes the resting, unpowered axes to ``joints``, which the
-        controller does not count."""
+        """Simulate a person who pushes the resting, unpowered axes to ``joints``. The controller
+        does not count this motion."""
         asked = (np.asarray(joints, dtype=float) - self._offset) * TO_UNITS * self._sign
         self._shift(asked - self._track.motors(time), time)
 
     # Torque
 
     def enable(self, time: float) -> None:
-        """Enable the motors. If the quill sank while they had no power, it is held at its lower
-        position, but the step count still gives the old one."""
+        """Enable the motors. If the quill sank while they had no power, the quill is now held at
+        its lower position, but the step count still gives the position before it sank."""
         sunk = self._torque.sunk(float(self._of_track(time)[QUILL]), time)
         self._torque.restore()
         if sunk > 0:

@@ -13,8 +13,8 @@ import math
 from dataclasses import dataclass, field
 
 STEADY_S = 0.25
-"""Time after a slide for which the images remain evenly spaced, because the end of the slide is
-still being evaluated, s."""
+"""Time after a slide, s, for which the images remain evenly spaced, because the end of the slide is
+still being evaluated."""
 
 
 @dataclass(slots=True)

@@ -28,12 +28,12 @@ class PortTakenError(RuntimeError):
 class PseudoTerminal:
     """Runs one emulator in a thread on a pseudo-terminal; ``path`` is a link to the terminal.
 
-    The driver may close and open the path repeatedly. A lock file beside the path shows whether its
-    owner is still running. A link left by a crashed process is replaced; the link of a running
-    process never is. The link points to a file descriptor of this process in ``/proc``, so it is
-    dangling after a crash. A link to the path of the terminal would instead lead to another
-    terminal as soon as the system reuses the terminal's number. Use this class as a context
-    manager, or call ``open`` and ``close``.
+    The driver may close and open the path repeatedly. A lock file beside the path shows whether the
+    process that owns the path is still running. A link left by a crashed process is replaced; the
+    link of a running process is never replaced. The link points to a file descriptor of this
+    process in ``/proc``, so it is dangling after a crash. A link to the path of the terminal would
+    instead lead to another terminal as soon as the system reuses the terminal's number. Use this
+    class as a context manager, or call ``open`` and ``close``.
 
     ``clock`` returns the emulator's time in s and runs ``time_scale`` times as fast as real time.
     ``reset_on_open``: opening the port restarts the board, as the DTR line does on many boards.

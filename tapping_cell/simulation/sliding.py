@@ -65,9 +65,9 @@ class TableFriction:
     friction: coefficient of a fast slide outside every patch; torque_factor: factor on the friction
     torque; slope: tilt in rad, downhill along +x and +y; anisotropy: ratio of the friction across
     the grain to that along it (their geometric mean is ``friction``); grain: direction of the grain
-    in rad; slow_rise: relative increase of the friction at very low speed, which decays as exp(-v /
-    slow_speed); viscous: relative increase per m/s; patches: discs (x, y, radius, factor) in table,
-    m, that multiply the friction by the factor; gravity in m/s^2.
+    in rad; slow_rise: relative increase of the friction at very low speed; with the speed v, the
+    increase decays as exp(-v / slow_speed); viscous: relative increase per m/s; patches: discs (x,
+    y, radius, factor) in table, m, that multiply the friction by the factor; gravity in m/s^2.
     """
 
     friction: float
@@ -113,7 +113,7 @@ class Slide:
         return math.hypot(*self._pull) <= hold * law.gravity
 
     def acceleration(self, motion: Motion) -> Acceleration:
-        """Return the acceleration of a moving body by friction and by the table's tilt."""
+        """Return the acceleration of a moving body due to friction and to the table's tilt."""
         law = self._friction
         cos, sin = math.cos(motion.theta), math.sin(motion.theta)
         # Velocities in the object's axes, in which the support points are fixed.

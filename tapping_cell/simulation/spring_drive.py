@@ -31,7 +31,7 @@ class SpringMechanism:
     stiffness: float = 500.0
     """Spring constant, N/m."""
     step_length: float = 5e-6
-    """Travel per step, m: 8 mm lead, 200 steps per turn, eighth steps."""
+    """Travel per step, m: 8 mm lead, 200 full steps per turn, 8 microsteps per full step."""
     step_rate: float = 4000.0
     """Step rate, 1/s."""
     longest_draw: int = 12000
@@ -148,8 +148,8 @@ class SpringDrive:
         self._begin(Phase.LEAVING, now, wake)
 
     def out(self, steps: int, now: float) -> None:
-        """Move the carriage to the position ``steps``, which charges the spring, if the present
-        position is known."""
+        """Charge the spring by moving the carriage to the position ``steps``; do nothing if the
+        carriage moves or its position is unknown."""
         if self._phase is Phase.HOLDING:
             self._target, self._opened = steps, False
             self._begin(Phase.OUT, now)

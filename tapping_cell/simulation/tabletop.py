@@ -255,8 +255,8 @@ class Tabletop:
 
 
 def _clearance(one: World, other: World) -> float:
-    """Return a lower bound of the distance between two objects that holds for any rotation of them,
-    m."""
+    """Return a lower bound, m, of the distance between two objects. The bound holds for any
+    rotation of the objects."""
     here, there = one.motion, other.motion
     between = math.hypot(here.x - there.x, here.y - there.y)
     return between - one.solid.reach - other.solid.reach

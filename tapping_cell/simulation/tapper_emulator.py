@@ -206,7 +206,8 @@ class TapperEmulator:
         self.drive.set_power(on, now)
 
     def open_stop_loop(self, now: float) -> None:
-        """Open the emergency stop loop, which cuts the motor's power, and close it again."""
+        """Open the emergency stop loop, so that the motor loses its power, and close the loop
+        again."""
         self.advance(now)
         self._stop(by_wire=True, now=now)
 
@@ -268,7 +269,7 @@ class TapperEmulator:
 
     def _limit(self) -> float | None:
         """Return the time when the current action ends because of missing requests or its timeout;
-        None if it does not."""
+        None if it does not end for such a reason."""
         if self._state == "HOMING":
             return self._received + SILENCE
         if self._state in ("CHARGING", "CHARGED"):

@@ -146,9 +146,8 @@ class ImpactTruth:
         default=0.0,
     )
     follow_through: float = quantity(
-        "time for which the striker continues to move after the first contact, at most to the "
-        "end of its "
-        "stroke, before it retracts",
+        "longest time from the first contact until the striker retracts; it retracts earlier if "
+        "it reaches the end of its stroke",
         "s",
         0.0,
         2.0,

@@ -81,7 +81,7 @@ class LineEnd:
         self._stopped = False
 
     def _opened(self, now: float) -> None:
-        """Open the line, whose port is present; earlier bytes are discarded."""
+        """Open the line of a port that is present, and discard earlier bytes."""
         self._absences = self.layer.absences
         self.layer.take_output(now)
 

@@ -1,5 +1,4 @@
-"""The simulated table, object and striker, which determine the object's pose as a function of time
-after a tap.
+"""Simulation of table, object and striker: the object's pose as a function of time after a tap.
 
 The striker's flight, its contacts with the object and the slide are integrated in time with the
 true parameters (``TruthFile``). Time is passed as an argument. The step lengths depend only on the
@@ -182,7 +181,8 @@ class World:
         self._cut(self._centred(pose))
 
     def take_striker(self, striker: Striker, stroke: float) -> None:
-        """Change the striker and its stroke in m, because each of several tappers has its own."""
+        """Change the striker and its stroke in m, because each of several tappers has its own
+        striker and stroke."""
         self._stroke = stroke
         if striker != self._striker:
             self._striker, self._contact = striker, self._contact_with(striker)
@@ -259,7 +259,7 @@ class World:
         self._done = self._begun + length
 
     def _step_with(self, tap: _Tap) -> float:
-        """Make a step while the striker is out; return the length of the step in s."""
+        """Make a time step while a striker is released; return the length of the step in s."""
         contact, flight, before = self._contact, tap.flight, self._before
         gap = contact.gap(before, flight)
         closing = contact.closing_speed(before, flight)

@@ -25,7 +25,7 @@ def main() -> int:
     arguments = parser.parse_args()
     (mutant,) = (mutant for mutant in known if mutant.name == arguments.name)
     plant(mutant)
-    from tapping_cell.verification.campaign import (  # imported with the mutant applied
+    from tapping_cell.verification.campaign import (  # imported only after the mutant is applied
         run_campaign,
         settle_on,
     )

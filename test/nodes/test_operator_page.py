@@ -348,7 +348,7 @@ def test_stop_and_clear_reach_the_cell_and_a_missing_driver_is_reported(cell: Ce
             answers = [await page.answer("clear"), await page.answer("clear")]
             assert {(a["ok"], a["text"]) for a in answers} == {
                 (True, "scara_arm: clearing"),
-                (False, "tapper_trigger: does not answer; is it running?"),
+                (False, "tapper_trigger does not answer; is it running?"),
             }
             cell.bench.wait(lambda: [m.data for m in received] == [True, False], "the latch ends")
             for name in ("cancel", "home", "press_button"):

@@ -348,8 +348,9 @@ class CameraPose(CellNode[Parameters]):
         self._late = self._late + 1 if observation.problem is Problem.LATE_FRAME else 0
         if self._late >= MAX_LATE and self._camera is not None and self._cell is not None:
             self.get_logger().warning(
-                f"{self._late} consecutive images are older than an earlier image: the camera's "
-                "clock was set back; tracking restarts"
+                f"the stamps of {self._late} consecutive images are not later than that of an "
+                "image received before them: the camera's clock was probably set back; tracking "
+                "restarts"
             )
             self._make_trackers(self._camera, self._cell)
 

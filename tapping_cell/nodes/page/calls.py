@@ -32,7 +32,7 @@ def call_service(
     """Call a service. The page receives the response of the service, or a message that no server
     is available. ``on_reply`` answers the page instead if the response is not that of a Trigger."""
     if not client.service_is_ready():
-        answer(answer_to(request, False, f"{name}: does not answer; is it running?"))
+        answer(answer_to(request, False, f"{name} does not answer; is it running?"))
         return
 
     def done(future: Future) -> None:

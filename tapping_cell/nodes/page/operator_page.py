@@ -522,7 +522,8 @@ class OperatorPage(CellNode[Parameters]):
 
     def _clear(self, who: str, answer: server.Answer) -> None:
         self._view.note(f"clearing of the stop and faults requested on the page ({who})")
-        # The actors refuse to clear while a stop is held, so the page's own stop is released first.
+        # The arm and the tapper refuse ``clear_fault`` while a publisher still holds a stop, so the
+        # page's own stop is released first.
         if self._stop is None or not self._stop.held:
             self._clear_actors(answer)
         elif self._stop.release():

@@ -1,4 +1,4 @@
-"""Process that serves STOP and publishes the page's ``emergency_stop``.
+"""Process that runs the HTTP server of the STOP button and publishes the page's ``emergency_stop``.
 
 :class:`tapping_cell.nodes.page.stop_link.StopLink` starts this process and writes to its standard
 input: first the configuration, then requests, one JSON value per line. The process writes each

@@ -25,7 +25,7 @@ class AmongOthers:
         self._paths: dict[tuple[FreeSpace, frozenset[CircleArea], float, float], PathLengths] = {}
 
     def map(self, body: Body, others: Iterable[CircleArea]) -> FreeSpace:
-        """Return the map of an object's tappable places on a table on which these areas are
+        """Return the map of an object's tappable places if the areas ``others`` of the table are
         occupied."""
         areas = frozenset(others)
         key = (body.free, areas)
@@ -83,7 +83,8 @@ def gap(first: CircleArea, second: CircleArea) -> float:
 
 
 def bodies_among(bodies: Sequence[Body], obstacles: Sequence[KeepOut]) -> tuple[Body, ...]:
-    """Return copies of the objects whose maps contain additional, fixed keep-outs."""
+    """Return copies of the objects. The maps of the copies also contain the fixed keep-outs
+    ``obstacles``."""
     if not obstacles:
         return tuple(bodies)
     made: dict[FreeSpace, FreeSpace] = {}

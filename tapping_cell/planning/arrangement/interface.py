@@ -42,7 +42,7 @@ class Body:
         return self.free.space.object_radius
 
     def area(self, pose: Pose) -> CircleArea:
-        """Return the bounding circle at a pose, which is a keep-out for the other objects."""
+        """Return the bounding circle at a pose. This circle is a keep-out for the other objects."""
         return CircleArea(pose.x, pose.y, self.radius, self.name)
 
 
@@ -73,10 +73,11 @@ class Scene:
     """State of all objects on the table.
 
     bodies: all objects. poses: stationary pose of each object. finished: names of the objects at
-    their goals. excluded: moves as (name, purpose) that are not to be chosen now, because no tap
-    was possible in this state or many taps did not finish them. buffers: targets of the earlier
-    moves out of the way, by name of the object. later: names of the objects that go to their goals
-    only after others, because of the requested order or because they made way for them.
+    their goals. excluded: moves, as (name, purpose), that must not be chosen now, because no tap
+    was possible in this state or because many taps did not complete the move. buffers: targets of
+    the earlier moves out of the way, by name of the object. later: names of the objects that must
+    wait for other objects before they go to their own goals: either the requested order demands
+    this, or they made way for those objects.
     """
 
     bodies: Sequence[Body]

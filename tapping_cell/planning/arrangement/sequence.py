@@ -1,14 +1,14 @@
-"""The built-in arrangement planner: it fills free goals first, then moves objects out of the way.
+"""The built-in arrangement planner: it first moves objects to free goals, then moves objects out of
+the way.
 
 A move to a goal is possible if the goal is free, a path through tappable places leads to it between
 the other objects, and every other unfinished goal can still be reached afterwards
 (``stuck_goals``). The cheapest possible move is chosen. Its cost is the number of extra taps for
 the detour around other objects, plus a small cost of the path's length, minus a bonus for each goal
-that it frees. If no such move is
-possible (occupied goals, swaps, cycles, blocked paths), an object in the way is moved to a buffer
-place: a reachable place, clear of every unfinished goal and close to the object's own path. Each
-such move opens a goal or a path, so the sequence ends. If there is no buffer place, the planner
-refuses.
+that the move frees. If no such move is possible (occupied goals, swaps, cycles, blocked paths), an
+object in the way is moved to a buffer place: a reachable place that is clear of every unfinished
+goal and close to the object's own path. Each such move opens a goal or a path, so the sequence
+ends. If there is no buffer place, the planner refuses.
 """
 
 from __future__ import annotations
@@ -38,9 +38,9 @@ needed because taps may end beside the buffer place."""
 BUFFERS_TRIED = 12
 
 TOOL_CLEARANCE = 0.10
-"""Gap between a buffer place and an unfinished goal, m, below which an object at the buffer place
-obstructs taps at the goal. The tool needs this space, and a polygon can be tapped along only a few
-lines."""
+"""An object at a buffer place obstructs taps at an unfinished goal if the gap between buffer place
+and goal is smaller than this value, m. The tool needs this space, and a polygon can be tapped along
+only a few lines."""
 
 CROWDING_COST = 2.0
 """Extra cost, in taps, of a buffer place directly beside an unfinished goal."""
@@ -50,12 +50,13 @@ CLOSEST = 3
 possible."""
 
 AGAIN = 1.0
-"""Extra cost, in taps, of moving an object out of the way, for each time that it has already been
-moved out of the way, because those moves did not help enough. Close to an earlier buffer place the
-extra cost is doubled."""
+"""Extra cost, in taps, of moving an object out of the way. It is charged once for each earlier move
+of the object out of the way, because those moves did not help enough. Close to an earlier buffer
+place the extra cost is doubled."""
 
 NARROW = 0.03
-"""Gap to another object, m, below which a buffer place has an extra cost of up to one tap."""
+"""If the gap between a buffer place and another object is smaller than this value, m, the buffer
+place has an extra cost of up to one tap."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,8 +156,8 @@ class SequencePlanner:
         """Return the names of the objects that block ``blocked``.
 
         An object blocks the path if removing it alone would open the path. If there is no such
-        object, the objects on the goal or, if the goal is free, all objects count as blocking,
-        ordered by distance from the straight line to the goal."""
+        object, the objects on the goal count as blocking. If the goal is free too, all objects
+        count as blocking, ordered by distance from the straight line to the goal."""
         goal, pose = blocked.target, scene.poses[blocked.name]
         others = [body for body in scene.bodies if body is not blocked]
         if (blocked.name, Purpose.TO_GOAL) in scene.excluded and self._is_open(scene, blocked):
@@ -188,8 +189,8 @@ class SequencePlanner:
         return [body.name for body in near]
 
     def _buffer(self, scene: Scene, body: Body, blocked: Body) -> _Option | None:
-        """Return the move of ``body`` to the cheapest buffer place from which it no longer blocks
-        ``blocked`` or blocks it less, or None."""
+        """Return the move of ``body`` to the cheapest buffer place at which it no longer blocks
+        ``blocked``, or blocks it less. Return None if there is no such place."""
         pose = scene.poses[body.name]
         others = areas_of(scene.bodies, scene.poses, [body.name])
         places = self._maps.places(body, others, pose)
@@ -278,8 +279,8 @@ def _away(places: Array, middle: Pose | CircleArea) -> Array:
 
 
 def _buffer_cost(body: Body, pose: Pose, places: Array, others: Sequence[CircleArea]) -> Array:
-    """Estimate the cost of each buffer place (n, 2), in taps: the path there, the longer path from
-    there to the goal, and a penalty for little clearance."""
+    """Estimate the cost of each buffer place (n, 2), in taps: the path to the buffer place, the
+    longer path from there to the goal, and a penalty for little clearance."""
     longest = body.planner.settings.largest_distance
     there = _away(places, pose)
     cost = np.ceil(there / longest) + 0.5 * there / longest

@@ -1,8 +1,8 @@
 """Closed loop for several objects: chooses the next object and its tap. Uses no clock and no ROS.
 
-With a single object, the only move is that to its goal. A ``PositioningSession`` carries out each
-move and avoids the other objects at their last measured poses. The session plans again if an object
-was touched, was pushed by hand or cannot be moved any further.
+With a single object, the only move is the move of this object to its goal. A ``PositioningSession``
+carries out each move and avoids the other objects at their last measured poses. The session plans
+again if an object was touched, was pushed by hand or cannot be moved any further.
 """
 
 from __future__ import annotations
@@ -45,20 +45,21 @@ COARSE_ANGLE = 1.5
 """Tolerance of the rotation of an object that is moved out of the way, rad."""
 
 TOUCHED = 0.002
-"""Displacement in excess of the camera's noise, m, from which an object that was not tapped counts
-as touched."""
+"""An object that was not tapped counts as touched if it was displaced by more than this value, m,
+plus an allowance for the camera's noise."""
 
 SETTLED = 0.0005
-"""Displacement of another object, m, up to which it counts as stationary and the map is reused."""
+"""If another object was displaced by at most this value, m, it counts as stationary, and the map is
+reused."""
 
 STILL = 4.0
-"""Difference of two observations of an object at its goal, in standard deviations, up to which the
-object counts as unmoved."""
+"""An object at its goal counts as unmoved if two observations of it differ by at most this number
+of standard deviations of the difference."""
 
 MAX_TAPS_EACH = 60
 
 TIMEOUT = 6
-"""Number of consecutive taps of a move without progress, after which other moves are preferred."""
+"""After this number of consecutive taps of a move without progress, other moves are preferred."""
 
 PROGRESS = 0.25
 """Decrease of the estimated number of remaining taps that counts as progress."""
@@ -299,7 +300,8 @@ class ArrangementSession:
         return chosen
 
     def _still_at_goal(self, body: Body, seen: Observation) -> bool:
-        """Return whether an object that was confirmed at its goal is still measured there.
+        """Return whether the measured pose of an object that was confirmed at its goal is still at
+        the goal.
 
         The confirmation holds until the object moves. A single noisy observation does not revoke
         it, because this would cost a tap.

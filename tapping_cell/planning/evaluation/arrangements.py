@@ -3,8 +3,8 @@
 Objects slide in straight lines, as tapped objects do (see ``docs/mechanics.md``, section Sliding).
 If an object hits another object, the impact is inelastic: along the normal, both continue with the
 velocity of their common centre of mass, and each slides a distance proportional to the square of
-its speed. A trial counts every such contact and every strike whose tool would have touched another
-object.
+its speed. A trial counts every such impact, and every strike in which the tool would have touched
+another object.
 """
 
 from __future__ import annotations
@@ -63,7 +63,8 @@ SWEEP = 25
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Kind:
-    """A kind of objects: their map on the empty table, and the method that chooses their taps."""
+    """A kind of object: map of its tappable places on the empty table, and the method that chooses
+    its taps."""
 
     free: FreeSpace
     planner: Planner
@@ -103,12 +104,12 @@ class ArrangementTrial:
     """Result of one scene.
 
     end: "done", "refused before" (the first tap) or "refused later". inside: whether every true
-    pose is within its tolerance. taps: total number; lone_taps: number for the same objects, each
-    alone on the table. contacts: number of contacts between objects; tool_contacts: number of
-    strikes whose tool would have touched another object. made_way: number of moves out of the way.
-    slowest, planning: processor time of the longest decision and of all decisions, s.
-    history: true poses before the first tap and after every tap. goals, outlines (n, 2) in the
-    objects' frames, and the length and width of the table are for drawings.
+    pose is within its tolerance. taps: total number of taps; lone_taps: total number of taps for
+    the same objects if each is alone on the table. contacts: number of contacts between objects;
+    tool_contacts: number of strikes in which the tool would have touched another object. made_way:
+    number of moves out of the way. slowest, planning: processor time of the longest decision and of
+    all decisions, s. history: true poses before the first tap and after every tap. For drawings:
+    goals; outlines, (n, 2), in the objects' frames; table, length and width of the table.
     """
 
     end: str = "refused later"
@@ -355,8 +356,8 @@ def draw_places(kinds: Sequence[Kind], least: float, rng: np.random.Generator) -
 
 
 def swapped_goals(starts: Sequence[Pose], rng: np.random.Generator) -> list[Pose]:
-    """Exchange the places of objects in pairs, with random angles; an unpaired last object
-    stays."""
+    """Exchange the places of objects in pairs, with random angles; an unpaired last object stays at
+    its place."""
     return [
         Pose(*starts[index ^ 1][:2], rng.uniform(-math.pi, math.pi))
         if index ^ 1 < len(starts)

@@ -30,8 +30,8 @@ class FixedEvaluation:
 
     space: the cell according to its file. goal: x, y, theta in `table`. start_angle: largest
     rotation of the start relative to the goal; starts are anywhere in the working area.
-    mount_error: standard deviations of the true lines' offset (m) and angle (rad), drawn for each
-    trial. truth: true mechanics; None means the planner's mechanics.
+    mount_error: standard deviations of the offset (m) and of the angle (rad) of the true lines,
+    which are drawn for each trial. truth: true mechanics; None means the planner's mechanics.
     """
 
     space: FixedStrikeSpace

@@ -1,5 +1,5 @@
-"""Vectorised choice of taps on polygons. A tap that no contact of the polygon allows is replaced by
-an alternative."""
+"""Vectorised choice of taps on polygons. A tap is replaced by an alternative if no contact of the
+polygon allows it."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ ATTEMPTS = 8
 def contact_taps(
     pose: Array, goal: Array, first: Array, number: Array, planner: Planner, tap: Tap
 ) -> Array:
-    """Return displacements (n, 3) that are possible with some contact: the first choices where they
-    are possible, else alternatives; NaN if none was found.
+    """Return displacements (n, 3) that are possible with some contact: the first choices if they
+    are possible, else alternatives; NaN if no alternative was found.
 
     Alternatives are ranked as by ``alternative_taps`` on an open table, on the assumption that the
     polygon slides like the equivalent disk. The chosen alternative is then checked with the

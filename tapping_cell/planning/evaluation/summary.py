@@ -18,8 +18,8 @@ def summarise(results: Results, planned_taps: int | None = None) -> dict[str, An
 
     Trials that were refused before the first tap are excluded from ``success_rate`` and ``taps``.
     ``success_rate``: share of trials that ended at the goal according to the session.
-    ``truly_inside_rate``: share of these whose true pose is within the full tolerance.
-    ``planned_taps``: number of taps of the method's plan, for methods that guarantee it.
+    ``truly_inside_rate``: share of these trials in which the true pose is within the full
+    tolerance. ``planned_taps``: number of taps of the method's plan, for methods that guarantee it.
     ``within_planned_rate``: share of trials that ended at the goal within this number.
     """
     began = results.end != End.REFUSED_BEFORE

@@ -40,9 +40,10 @@ class Evaluation:
     gain_bias: systematic errors of the object's distance and rotation gains, as shares; their signs
         are random in each trial.
     unknown: largest factors by which the true distance gain and the true rotation per distance
-        deviate in either direction, drawn for each trial (uniformly in the logarithm).
+        deviate in either direction; the factors are drawn for each trial (uniformly in the
+        logarithm).
     off_centre: standard deviation of both components of the offset in ``Gains``, rad/m.
-    probe: begin with a probe of the object (only on a table).
+    probe: begin with probe taps (only on a table).
     objective: "taps" or "time"; "time" requires a table and a ``clock``.
     clock: factory of the clock that computes the durations of taps. With None, no durations are
         computed.

@@ -43,8 +43,8 @@ class PhysicsWorld:
     model: the planner's mechanics, which convert a displacement to a strike.
     truth: the true mechanics.
     standoff: distance from the tip at rest to the contact, m.
-    round_position, round_angle: the tip's pose at rest is rounded to multiples of these (m, rad) in
-        the table frame, as in section 5 of the paper; 0 means no rounding. The planner
+    round_position, round_angle: the tip's pose at rest is rounded to multiples of these values (m,
+        rad) in the table frame, as in section 5 of the paper; 0 means no rounding. The planner
         ignores the rounding.
     speed_factor: ratio of the true to the commanded speed of the striker.
     """
@@ -105,8 +105,8 @@ class World(Protocol):
 
     @property
     def model(self) -> Tap | None:
-        """Mechanics with which the planner converts displacements to strikes; None if all are
-        possible."""
+        """Mechanics with which the planner converts displacements to strikes; None if every
+        displacement is possible."""
 
     def answer(
         self,
@@ -121,7 +121,8 @@ class World(Protocol):
 
 
 START_REACH = 0.1
-"""Half width, m, of the square on the open table in which starts are drawn, at any angle."""
+"""Starts are drawn in a square on the open table, at any angle. This is half the width of the
+square, m."""
 
 
 def draw_starts(count: int, rng: np.random.Generator) -> Array:

@@ -202,8 +202,8 @@ def test_the_goal_is_reached_with_working_devices(actors: Actors) -> None:
     end = actors.end()
     assert end.state == PlanState.REACHED, end.error_msg
     assert end.taps == len(actors.taps()) >= 1
-    # A withdrawal ends each tap. After the last tap, a second withdrawal parks the arm. The ids
-    # increase.
+    # Each tap ends with a withdrawal. After the last tap, a second withdrawal parks the arm. The
+    # ids increase.
     ids = [command.tap_id for command in actors.taps()]
     assert ids == sorted(set(ids))
     ended = [c.tap_id for c in actors.commands if c.request == TapCommand.WITHDRAW]
