@@ -23,7 +23,7 @@ BLUE: Colour = (255, 170, 70)
 WHITE: Colour = (245, 245, 245)
 _TABLE = Pose(0.0, 0.0, 0.0)
 _FINE = 4
-"""Fractional bits of OpenCV's drawing coordinates."""
+"""Number of fractional bits in OpenCV's drawing coordinates."""
 
 
 def annotate(
@@ -63,8 +63,8 @@ def annotate(
 
 
 def _state(observation: Observation) -> tuple[str, Colour]:
-    """Return label and colour of the object's state. The label is FOUND after a single frame, which
-    does not show whether the object moves."""
+    """Return label and colour of the object's state. The label is FOUND after the first frame,
+    because one frame does not show whether the object moves."""
     if observation.at_rest:
         return f"AT REST   {observation.frames_fused} frames", GREEN
     if observation.velocity is not None and not observation.velocity.any():

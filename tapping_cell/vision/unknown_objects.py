@@ -1,12 +1,12 @@
 """Outlines of objects on the table that no object file describes.
 
-The image is rectified to the plane of the table at a coarse resolution. Areas whose brightness
-differs from the table's are such objects, unless they are
+The image is rectified to the plane of the table at a coarse resolution. Areas that differ in
+brightness from the table are such objects, unless they are
 
 - reference markers or objects that have been measured (with the shadow beside them),
-- connected to the edge of the table's area, as the arm, a cable or a hand is,
-- covered by the arm according to its joints, or
-- narrower than ``_MIN_WIDTH``, as printed lines are.
+- connected to the edge of the table's area (such as the arm, a cable or a hand),
+- covered by the arm, according to its joint angles, or
+- narrower than ``_MIN_WIDTH`` (such as printed lines).
 
 A flat print wider than ``_MIN_WIDTH`` is taken for an object, and an object of the table's
 brightness is not found. The silhouette projected to the table's plane contains the object's
@@ -94,8 +94,8 @@ class ArmBars:
 
 @dataclass(slots=True, eq=False)
 class _Tracked:
-    """An unknown object: its outline (N, 2), the cells it covers, and the number of searches in
-    which its place was visible without it."""
+    """An unknown object: its outline (N, 2), the cells that it covers, and the number of searches
+    in which its place was visible without the object."""
 
     outline: Array
     cells: Mask

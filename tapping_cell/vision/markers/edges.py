@@ -136,11 +136,12 @@ def _refine(image: Image, quads: Array, half_width: int) -> MarkerEdges:
 class _EdgeSamples:
     """One measurement of all 4 M sides of M markers.
 
-    ``p`` (4 M, R) are the row coordinates of a side and ``q`` the positions at which the edge
-    crosses them. ``kept`` (1 or 0) marks the inliers of the line q = offset + slope p, and
-    ``residual`` is the distance from it. ``black`` and ``white`` are the grey levels on both sides
-    of the edge in each row, ``mask`` (1 or 0) marks the rows that exist, and ``corners`` (M, 4, 2)
-    are the intersections of the lines. ``outward`` is 1 if q increases outwards, otherwise -1.
+    ``p`` (4 M, R) are the coordinates of the rows along a side, and ``q`` the positions at which
+    the edge crosses these rows. ``kept`` (1 or 0) marks the inliers of the line q = offset + slope
+    p, and ``residual`` is the distance from this line. ``black`` and ``white`` are the grey levels
+    on both sides of the edge in each row, ``mask`` (1 or 0) marks the rows that exist, and
+    ``corners`` (M, 4, 2) are the intersections of the lines. ``outward`` is 1 if q increases
+    outwards, otherwise -1.
     """
 
     half_width: int
@@ -331,7 +332,8 @@ def _uneven(samples: _EdgeSamples, white: Array) -> Array:
 
 
 def _along(p: Array, levels: Array, mask: Array) -> Array:
-    """Fit straight lines along the sides to levels (2, S, R), and evaluate them at every row."""
+    """Fit straight lines along the sides to the levels (2, S, R). Return the value of these lines
+    at every row."""
     offset, slope, _ = _line(p, levels, mask)
     return np.asarray(offset[..., None] + slope[..., None] * p)
 
@@ -387,7 +389,7 @@ def _condense(
 
 
 def _corners(offset: Array, slope: Array, along: NDArray[np.intp]) -> Array:
-    """Return the corners (M, 4, 2) at which the lines q = offset + slope p (4 M) intersect. The
+    """Return the corners (M, 4, 2) at which the 4 M lines q = offset + slope p intersect. The
     coordinate p of a line is x if its ``along`` is 0, and y if it is 1."""
     each = np.arange(len(slope))
     normal = np.empty((len(slope), 2))

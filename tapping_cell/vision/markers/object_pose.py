@@ -35,8 +35,8 @@ _FREE, _USUAL_FREE = 4.0, 8.0
 ``_USUAL_FREE``: degrees of freedom of the prior for the usual size of these residuals."""
 _OBLONG_PIXELS, _OBLONG = 0.5, 0.006
 """Allowed difference of length and width: ``_OBLONG_PIXELS`` pixels or ``_OBLONG`` times the side,
-whichever is more. A difference above this limit and above that of ``_MORE_OBLONG`` means that an
-object beside the marker was mistaken for one of its sides."""
+whichever is more. A difference above both this limit and the limit given by ``_MORE_OBLONG`` means
+that an object beside the marker was mistaken for one of its sides."""
 _MORE_OBLONG, _MAX_OBLONG = 4.0, 0.03
 """A poor lens, bent paper or a sharpened image affects all markers. Therefore a difference of up to
 ``_MORE_OBLONG`` times the root mean square difference of the reference markers is also allowed,
@@ -109,8 +109,8 @@ def _usually_oblong(view: View, edges: MarkerEdges, row: int) -> float:
 
 
 def _metres(pixels: Array, seen: Array) -> Array:
-    """Matrix (2, 2) that converts steps of a pixel right and down to steps on the plane (m), from
-    four corners (4, 2) in the image and on the plane."""
+    """Matrix (2, 2) that converts steps of one pixel to the right and down to steps on the plane
+    (m), computed from four corners (4, 2) in the image and on the plane."""
     return np.asarray((seen[2:] - seen[:2]).T @ np.linalg.inv((pixels[2:] - pixels[:2]).T))
 
 

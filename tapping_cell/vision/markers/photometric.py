@@ -29,10 +29,11 @@ from tapping_cell.vision.markers.detection import ObjectMarker, marker_pattern
 _MARGIN = 0.4
 """Width of the white border used, in modules; an adjacent object may begin beyond it."""
 _LARGEST_STEP = 0.5
-"""Maximum distance of the result from the initial pose, in pixels. The initial pose, which comes
-from the edges, is more accurate than this."""
+"""Maximum distance of the result from the initial pose, in pixels. The initial pose comes from the
+edges, and its error is smaller than this distance."""
 _SMALLEST_STEP = 0.002
-"""Step in pixels at which Gauss-Newton has converged (a tenth of the error due to noise)."""
+"""Step size, in pixels, below which Gauss-Newton has converged (a tenth of the error due to
+noise)."""
 _POSE = slice(11, 14)
 """Columns of the design matrix for the pose of the marker (x, y, theta)."""
 _LAGS = 4
@@ -43,7 +44,7 @@ noise."""
 _SAME_PLACE = 0.03
 """Distance in pixels up to which the linearisation is reused. At this distance, the second-order
 error is at most a thousandth of a pixel. If the marker does not move, noise alone displaces the
-result by a fifth of this distance, where the error is below 5e-5 pixel."""
+result by a fifth of this distance. There, the second-order error is below 5e-5 pixel."""
 _SAME_LIGHT = 0.05
 """Maximum relative change of the contrast for which the linearisation is reused."""
 
@@ -165,7 +166,7 @@ def align(
 def align_again(
     image: Image, linearisation: Linearisation, marker: ObjectMarker, start: Array
 ) -> Alignment | None:
-    """Align the marker in a frame in which it has not moved according to the edges (``start``).
+    """Align the marker in a frame in which, according to the edges (``start``), it has not moved.
 
     One step of Gauss-Newton from the last alignment suffices. It takes a tenth of the time of
     :func:`align`. None means only that the marker or the illumination changed, not that the marker
@@ -180,7 +181,7 @@ def align_again(
     residual = grey - columns @ np.linalg.solve(linearisation.normal, product)
     weight, spread = _robust_weights(residual)
     # Nearly all pixels have full weight. The normal matrix for full weights is known, so only the
-    # weight that the other pixels lack is subtracted from it.
+    # missing weights of the other pixels are subtracted from it.
     less = np.flatnonzero(weight < 1.0)
     excluded = columns[less]
     lost = excluded.T * (1.0 - weight[less])

@@ -29,8 +29,8 @@ The limit is the sum of four contributions. ``_SHARE`` is a constant relative er
 lens). ``_PIXELS`` is an error of the side's length in pixels (position of edges within pixels,
 nonlinear grey levels). ``_SMEARED`` is an error of blurred edges in pixels, which is multiplied by
 p / (1 - p), where p is ``MarkerEdges.pull``. ``_CONFIDENCE`` is a number of standard deviations of
-the noise. None of 140 images exceeded this limit. The markers' sides measured 28 to 149 pixels, and
-the images included gamma, Bayer patterns and blur.
+the noise. In none of 140 images did the deviation exceed this limit. The markers' sides were 28 to
+149 pixels long, and the images included the effects of gamma, Bayer patterns and blur.
 """
 
 
@@ -40,7 +40,7 @@ class ShapeDeviation:
 
     ``stretch`` is the relative enlargement and ``strain`` the relative elongation or shear; values
     up to ``allowance`` are not significant. ``covariance`` (3, 3) is the uncertainty of the
-    object's pose (m, m, rad) due to the part that is significant.
+    object's pose (m, m, rad) due to the significant part of the deviation.
     """
 
     stretch: float

@@ -1,11 +1,11 @@
-"""Fit an outline to an image, using all pixels of a band along the rim and those around the dot.
+"""Fit an outline to an image, using all pixels in a band along the rim and around the dot.
 
 In the model (``model.py``), the grey levels of top, wall and surroundings are fitted separately in
 every sector of the rim, because light, shadows and reflections of the wall differ around the
 object. The rim is therefore located as an edge, not at a fixed grey level. A wall too narrow to be
 distinguished from the edge increases the covariance. Occluded sectors are outliers and are
 excluded. The solver is Gauss-Newton, with the levels eliminated sector by sector (Schur
-complement). A stationary object is measured with the last linearisation, levels and weights.
+complement). For a stationary object, the last linearisation, levels and weights are used again.
 """
 
 from __future__ import annotations
@@ -65,8 +65,8 @@ _SAME_LIGHT = 0.05
 _LONG = 0.15
 """Minimum length of a long side of a polygon, as a fraction of the length of the rim."""
 _BRIGHTEST = 2.5
-"""The noise of a sector is assumed to increase with its brightness, until it is this many times as
-bright as a typical sector."""
+"""The noise of a sector is assumed to increase with the sector's brightness, up to this multiple of
+the brightness of a typical sector."""
 _ROUNDS_AGAIN, _STEADY = 4, 0.004
 """Maximum number of iterations in :func:`fit_again`, and the change (pixels) below which they
 stop."""
@@ -160,8 +160,8 @@ def fit_outline(
     dot = outline.dot if with_dot else None
     scene = _Scene(outline, pixel, width, moving, not coarse, size_spread, dot is not None)
     smeared = float(np.hypot(*moving)) > _SMEARED
-    # For an object with a dot, a fit without the dot only provides the start of a fit with the dot,
-    # so it may be rough.
+    # For an object with a dot, a fit without the dot provides only the start of a fit with the dot,
+    # so the fit without the dot may be rough.
     rough = coarse or smeared or (outline.dot is not None and not with_dot)
     most = ROUGH_PIXELS if rough else MAX_PIXELS
     state = _State(start.copy(), blur, size)
@@ -192,7 +192,8 @@ def fit_outline(
 
 
 def fit_again(image: Image, linearisation: Linearisation, expected: Array) -> OutlineFit | None:
-    """Fit the outline in a frame in which the object has not moved according to ``expected`` (3,).
+    """Fit the outline in a frame in which, according to ``expected`` (3,), the object has not
+    moved.
 
     This takes a fifth of the time of :func:`fit_outline`. None means only that the object or the
     illumination changed, not that the object is absent.
@@ -390,8 +391,8 @@ class _State:
 
     def _compare(self, scene: _Scene, left: Array, step: Array) -> None:
         """Exclude sectors that disagree with the position of the whole rim. Store in ``scatter``
-        the mean squared deviation of the others relative to their noise, at least 1. It is a
-        factor of the covariance."""
+        the mean squared deviation of the remaining sectors relative to their noise, at least 1. The
+        covariance is multiplied by this value."""
         power = np.maximum(left[:, GLOBALS, GLOBALS], 1e-9)
         shift = (left[:, GLOBALS, -1] - left[:, GLOBALS, :GLOBALS] @ step) / power
         sigma = self.noise / np.sqrt(power)

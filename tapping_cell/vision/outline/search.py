@@ -60,7 +60,8 @@ _LARGEST_HULL_RATIO = 1.18
 relative to the area of the object's top. ``_LARGEST_HULL_RATIO`` is the maximum area of a blob's
 convex hull, relative to the area of the blob."""
 _FORM = 0.12
-"""Maximum relative deviation (rms) of a blob's shape, which may be due to walls or occlusion."""
+"""Maximum relative deviation (rms) of a blob's shape from the outline. Walls and occlusion cause
+such deviations."""
 _CANDIDATES = 6
 _NEAR = 30
 """Maximum error of the angle found without considering the wall, in steps of
@@ -179,7 +180,8 @@ def fit_surely(
     step: Array | None = None,
     with_dot: bool = True,
 ) -> OutlineFit | None:
-    """Call :func:`fit_outline`, and repeat it with the size of the file if the size seems wrong.
+    """Call :func:`fit_outline`, and repeat it with the size fixed to that of the file if the fitted
+    size seems wrong.
 
     One side of a tall polygon may be confused with a wall as bright as the top, so that the outline
     is displaced and too small. This wrong fit is nearly as good as the correct fit. However, a fit
@@ -212,7 +214,7 @@ def _unlike(outline: ObjectOutline, rough: OutlineFit | None, rim: OutlineFit | 
 
 
 def accept(fit: OutlineFit, outline: ObjectOutline) -> OutlineFit | Refused:
-    """Return the fit if it is the object's, otherwise the reason for rejecting it."""
+    """Return the fit if it is a fit of the object, otherwise the reason for rejecting it."""
     if abs(fit.size - 1.0) > LARGEST_STRETCH:
         return wrong_size(fit)
     least = least_seen(outline)

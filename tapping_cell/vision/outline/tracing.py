@@ -34,7 +34,7 @@ Mask = NDArray[np.uint8]
 
 _AROUND = 0.04
 """Width (m) of a margin around the area that the centres of the reference markers enclose. The
-object may lie in this area and in the margin."""
+object may lie anywhere in this area or in the margin."""
 _FREE_RIM = 1.4
 """Side of the square that a reference marker and its white border cover, relative to the side of
 the marker."""

@@ -200,7 +200,7 @@ def fit_table(
 
 def _wrong_one(white: Array, left: Array, jacobian: Array) -> int | None:
     """Return the index of the marker whose exclusion reduces the sum of the squared residuals the
-    most; None if no marker reduces it by half. ``left`` (M, 8) are the residuals.
+    most; None if no exclusion halves this sum. ``left`` (M, 8) are the residuals.
 
     This need not be the marker with the largest residual, because a marker far from the others
     pulls the fit towards itself (its leverage; Cook and Weisberg 1982). ``white`` is (M, 8, 8) and

@@ -24,10 +24,10 @@ _LENS = 0.7, 0.7, 0.0015, 0.004, 0.00012, 0.00012
 """Typical standard deviations of the lens parameters, as reported by OpenCV's calibration for some
 twenty images of a board. A common amplitude of all lens errors is estimated from the references.
 
-``_LENS`` contains those of cx, cy, k1, k2, p1 and p2. Deviations of cx and cy are in pixels, and so
-are those of the focal lengths: ``_FOCAL`` is for their common error, and ``_ASPECT`` for half the
-difference of their errors. If a calibration states deviations (``CameraModel.deviations``), these
-are used instead.
+``_LENS`` contains those of cx, cy, k1, k2, p1 and p2. Deviations of cx, cy and the focal lengths
+are in pixels. ``_FOCAL`` is for the common error of the two focal lengths, and ``_ASPECT`` for half
+the difference of their errors. If a calibration states deviations (``CameraModel.deviations``),
+these are used instead.
 """
 _STATED_ASPECT = 0.25
 """Standard deviation of half the difference of the two focal lengths' errors, as a fraction of the
@@ -37,7 +37,7 @@ _FIELD = np.geomspace(0.002, 12.0, 12)
 _PRINT = np.geomspace(2e-7, 6e-4, 20)
 """Grids of the amplitude of the lens errors, in units of the standard deviations in ``_LENS``, and
 of the amplitude of a marker's misplacement, in m. Coarser steps make the covariance too small if
-the true value is between two of them."""
+the true value is between two steps."""
 _TURNS = (0.1, 0.3, 1.0)
 """Assumed ratios of two displacements of a marker's corners: the one due to its rotation error,
 divided by the one due to its position error. The lowest ratio is typical of markers printed on one
@@ -217,7 +217,7 @@ def lens_shifts(view: View, points: Array, height: float) -> tuple[Array, Array]
 
 
 def _other_lenses(camera: CameraModel) -> list[CameraModel]:
-    """Return eight cameras. In each of them, another lens parameter is changed by its standard
+    """Return eight cameras. In each camera, a different lens parameter is changed by its standard
     deviation (stated by the calibration, otherwise typical)."""
     focal, aspect, rest = _FOCAL, _ASPECT, list(_LENS)
     if camera.deviations:
