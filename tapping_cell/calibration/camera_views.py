@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from tapping_cell.calibration.target import TargetView
 
 _SAME_SHARE = 0.004
-"""Mean corner distance, as a fraction of the image diagonal, below which views are duplicates."""
+"""Mean distance between corresponding corners of two views, as a fraction of the image diagonal,
+below which the views count as duplicates."""
 _BLUR_SHARE, _BLUR_PIXELS, _BLUR_RATIO = 0.15, 2.5, 2.0
 GRID = (5, 6)
 """Number of rows and columns into which the image is divided to count coverage."""
@@ -90,7 +91,7 @@ def coverage(views: Sequence[TargetView], size: tuple[int, int]) -> NDArray[np.i
 
 
 def uncovered_regions(counts: NDArray[np.intp]) -> list[str]:
-    """Name the regions of the image in which more than half the area has no corner in any view."""
+    """Name the regions of the image of which more than half has no corner in any view."""
     uncovered = []
     for row, names in enumerate(_PLACES):
         for column, name in enumerate(names):

@@ -89,7 +89,8 @@ class Experiment(NamedTuple):
 def read_experiment(place: Path | str) -> Experiment:
     """Read the experiment in a folder, or one CSV file with the header in the same folder.
 
-    Without a header, object and striker are None, and standard deviations have default values.
+    Without a header file, object and striker are None, and the standard deviations have default
+    values.
 
     Raises:
         RecordError: the records cannot be used (see ``read_trials``).

@@ -91,8 +91,8 @@ def _information(
 
 
 def _deviations(information: Array, values: Mapping[str, float]) -> tuple[Array, Array]:
-    """Compute relative standard deviations (p,), first with the other parameters known, then with
-    all free."""
+    """Return two arrays of relative standard deviations (p,): with the other parameters known, and
+    with all parameters free."""
     restitution = values["restitution"]
     to_relative = np.ones(len(information))
     to_relative[0] = (1 + restitution) / max(restitution, 1e-3)

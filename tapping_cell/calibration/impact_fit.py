@@ -7,7 +7,7 @@ are divided by the scatter of a tap. This scatter is estimated together with the
 
 The data decide which parameters are free. Restitution is free, and contact friction is free if the
 contact slid in enough trials. The scale of B1 (and that of B3, if B3 differs between the trials) is
-free only if the Bayesian information criterion supports it. B2 and the restitution only act in
+free only if the Bayesian information criterion supports it. B2 and the restitution e act only in
 combination, as (1 + e) / B2. Therefore B2 keeps its model value. B2 is fitted instead of the
 restitution only if no restitution from 0 to 1 explains the launches.
 """
@@ -44,8 +44,8 @@ class Strikes:
     """Impacts and the resulting launches: arrays (n,), SI.
 
     ``contact`` (n, 2) is (c_n, c_t) of ``Impact.strike``. ``angle`` is the angle of the launch from
-    the contact normal in rad, NaN if not measured. Standard deviations are those of the
-    measurement, without the scatter of a tap.
+    the contact normal in rad, NaN if not measured. The standard deviations are those of the
+    measurement and do not include the scatter of a tap.
     """
 
     speed: Array
@@ -70,8 +70,9 @@ class ImpactFit:
 
     ``score`` (n, p) and ``information`` (n, p, p) refer to the logarithms of the free parameters
     (ln(1 + e) for the restitution). ``scatter`` holds the standard deviations of a tap: speed and
-    spin over speed (relative), direction (rad). ``sliding`` (n,) is true if the contact slid to the
-    end. ``deviations`` (n, 3) are relative residuals (for the direction, residuals in rad).
+    spin over speed (relative), direction (rad). ``sliding`` (n,) is True for a contact that slid
+    until the end of the impact. ``deviations`` (n, 3) are the residuals of speed and spin over
+    speed (relative) and of the direction (rad).
     """
 
     values: Mapping[str, float]
@@ -270,8 +271,8 @@ def _fit(model: ImpactModel, free: tuple[str, ...]) -> _Fit:
 def _scatter(
     model: ImpactModel, off: Array, launch: Array, used: int
 ) -> tuple[float, float, float]:
-    """Estimate the scatter of a tap: its variance is the variance of the residuals minus that of
-    the measurement."""
+    """Estimate the scatter of a tap. Its variance is the variance of the residuals minus the
+    variance of the measurement."""
     measured = model.measured_std()
     size = _sizes(launch)
     values = []
@@ -294,8 +295,8 @@ def _scatter(
 def _without_friction(model: ImpactModel, base: _Fit, stuck: _Fit, notes: list[str]) -> ImpactModel:
     """Fix the contact friction, because contacts that stick explain the launches as well as
     contacts that slide. The file's friction is kept unless it explains the launches worse than
-    contacts that stick. The launches give no bound on the friction, because an error elsewhere in
-    the model can make sliding contacts appear to stick.
+    contacts that stick. The launches do not give a bound on the friction, because an error
+    elsewhere in the model can make sliding contacts appear to stick.
     """
     known = model.known["contact_friction"]
     sentence = (

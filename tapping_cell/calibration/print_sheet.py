@@ -216,8 +216,8 @@ def _refuse_too_small(paper: tuple[float, float], references: ReferenceMap) -> N
 def object_page(
     paper: tuple[float, float], ids: Sequence[int], size: float, dictionary: str
 ) -> Page:
-    """Lay out object markers in rows. Each is in a square, with a white border, that is to be cut
-    out.
+    """Lay out object markers in rows. Each marker, with its white border, is in a square that is to
+    be cut out.
 
     Raises:
         SheetError: the markers do not fit.

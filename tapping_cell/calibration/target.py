@@ -1,8 +1,9 @@
 """Detection of calibration targets (chessboards and ChArUco boards) in photographs.
 
-Corners are accurate to hundredths of a pixel, and a failed detection is explained. The origin of a
-board's frame is its top left inner corner, with x along a row to the right and y down the board.
-Corner ``k`` of a board of C x R squares is in row ``k // (C - 1)`` and column ``k % (C - 1)``.
+Corners are accurate to hundredths of a pixel. If the detection fails, the reason is returned. The
+origin of a board's frame is its top left inner corner, with x along a row to the right and y down
+the board. Corner ``k`` of a board of C x R squares is in row ``k // (C - 1)`` and column ``k % (C -
+1)``.
 """
 
 from __future__ import annotations
