@@ -45,9 +45,9 @@ USUAL_DEVIATION = 1e-4
 _NO_MOTION = 0.0003
 """Displacement in m below which the object did not move (three times the camera's error)."""
 _SHORT, _NEIGHBOURS = 0.003, 5
-"""A tap that does not move the object counts as too weak if the median displacement of the
-``_NEIGHBOURS`` taps with the most similar energies is below ``_SHORT`` m; otherwise it counts as a
-miss."""
+"""A tap that does not move the object counts as too weak if the median displacement of those
+``_NEIGHBOURS`` taps that moved the object and have the most similar energies is below ``_SHORT`` m;
+otherwise it counts as a miss."""
 _RELIABLE = 0.9
 """Fraction of the taps of one energy that must move the object for the energy to be reliable."""
 _OUTLIER = 4.5

@@ -30,8 +30,8 @@ def first_contact(body: Body, tip_radius: float, start: Array, direction: Array)
     ``direction``.
 
     ``start`` and ``direction`` are (..., 2) in the body's frame; ``direction`` has unit length. If
-    the ball starts inside the body, the contact is where its line of travel enters the body, so the
-    travel is negative. A ball that is already past the body misses.
+    the ball starts inside the body, the contact is where the ball's line of travel enters the body,
+    so the travel is negative. A ball that is already past the body misses.
     """
     if isinstance(body, Polygon):
         return _polygon_contact(body, tip_radius, start, direction)

@@ -10,12 +10,12 @@ the striker is, along the normal (compression) and along the tangent (sliding),
 
     B1 = 1/m + c_n^2 / I + striker,  B2 = 1/m + c_t^2 / I + striker,  B3 = c_n c_t / I + striker
 
-where ``striker`` stands for a_t^2 / m_s, a_n^2 / m_s and -a_n a_t / m_s if the striker moves in
-linear bearings, and for 1 / m_s, 1 / m_s and 0 if it is free. Routh's method (Wang and Mason, J.
-Applied Mechanics 59, 1992) follows the impulse along the friction limit until sliding stops (S =
-0). It then continues along S = 0 if friction can prevent sliding, and otherwise along the opposite
-limit. Compression ends at C = 0. With Poisson's restitution e, the total normal impulse is 1 + e
-times the normal impulse of the compression.
+where ``striker`` is, in B1, B2 and B3 respectively, a_t^2 / m_s, a_n^2 / m_s and -a_n a_t / m_s if
+the striker moves in linear bearings, and 1 / m_s, 1 / m_s and 0 if it is free. Routh's method (Wang
+and Mason, J. Applied Mechanics 59, 1992) follows the impulse along the friction limit until sliding
+stops (S = 0). It then continues along S = 0 if friction can prevent sliding, and otherwise along
+the opposite limit. Compression ends at C = 0. With Poisson's restitution e, the total normal
+impulse is 1 + e times the normal impulse of the compression.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ _SLOPE_TOLERANCE = 1e-14
 class Striker:
     """The moving part of the tapper: ``mass`` in kg, and a ball of ``tip_radius`` in m at its tip.
 
-    ``constraint`` is ``"linear_bearings"`` (it can only move along its axis, as in the paper) or
+    ``constraint`` is ``"linear_bearings"`` (it can move only along its axis, as in the paper) or
     ``"free"``. Raises :class:`InvalidParameterError` for a mass that is not positive, a radius
     below 0 or another constraint.
     """
@@ -79,8 +79,8 @@ class ImpactResult(NamedTuple):
     """Result of an impact in the contact frame (n, t); every field has the shape of the input.
 
     ``normal_impulse`` and ``tangential_impulse`` on the body are in N s; ``velocity`` (..., 2) of
-    its centre of mass is in m/s and ``spin`` in rad/s. ``striker_velocity`` (..., 2) is in m/s.
-    ``sliding`` is the sign of S at the end, 0 if the contact sticks.
+    the body's centre of mass is in m/s and its ``spin`` in rad/s. ``striker_velocity`` (..., 2) is
+    in m/s. ``sliding`` is the sign of S at the end, 0 if the contact sticks.
     """
 
     normal_impulse: Array
@@ -179,8 +179,8 @@ class Impact:
         """Compute the impact of a striker at ``speed`` (m/s, 0 or more).
 
         ``incidence`` is the angle from the normal n to the striker's axis in rad, at most a right
-        angle. ``contact`` (..., 2) is (c_n, c_t) in m, (-R, 0) for a disk. Arguments broadcast.
-        Raises :class:`InvalidParameterError` for values out of range.
+        angle. ``contact`` (..., 2) is (c_n, c_t) in m: (-R, 0) for a disk of radius R. Arguments
+        broadcast. Raises :class:`InvalidParameterError` for values out of range.
         """
         v = finite("striker speed", speed, "m/s")
         angle = finite("incidence", incidence, "rad")
@@ -274,7 +274,8 @@ class Impact:
         a_n, a_t = np.cos(incidence), np.sin(incidence)
         b1, b2, b3 = self.inverse_inertias(incidence, contact)
         mu = self.friction
-        # First phase: friction opposes the sliding, until it ends at the normal impulse p_stop.
+        # First phase: friction opposes the sliding, until the sliding ends at the normal impulse
+        # p_stop.
         direction = -np.sign(a_t)
         first = -direction * mu
         closing = direction * b3 + mu * b1
@@ -323,8 +324,8 @@ def _bracketed_root(
     """Find the roots (n,) of a function between ``low`` and ``high``, by Chandrupatla's method
     (1997).
 
-    ``function`` takes values and the rows to which they belong; rows that have converged are
-    omitted.
+    ``function`` takes values and the rows to which they belong. Rows that have converged are no
+    longer passed to it.
     """
     found = low.copy()
     rows: NDArray[np.intp] = np.arange(low.size)

@@ -124,7 +124,7 @@ def _slow_down(
         np.log(np.where(both, s_size, 1.0) / np.where(both, v_size, 1.0)),
         np.log(np.maximum(share, math.exp(_PROFILE_END))),
     )
-    # Speed and rim speed with this ratio, the larger of which is 1. They are then scaled so that
+    # Speed and rim speed with this ratio; the larger of the two is 1. They are then scaled so that
     # the slide takes the remaining time.
     v_unit = np.exp(np.minimum(-log_ratio, 0.0))
     s_unit = np.exp(np.minimum(log_ratio, 0.0))

@@ -27,8 +27,8 @@ PAPER_JACOBIAN = np.array(
 )
 PAPER_STRIKER_ERROR = (7.5, 7.5, 5.0)
 
-# Mass, in kg, of the steel shaft in figure 1 of the paper, which appears to be 10 mm thick and 80
-# mm long. The Jacobian does not depend on this mass.
+# Mass, in kg, of the steel shaft in figure 1 of the paper. The shaft appears to be 10 mm thick and
+# 80 mm long. The Jacobian does not depend on this mass.
 _STRIKER_MASS = 0.05
 # Impact constants B1 and B3 (see impact.py), divided by B2, fitted to the x and theta rows of
 # PAPER_JACOBIAN. The rms residual is 4.5 % of the largest element of each row (0.135 and 0.0251).

@@ -34,7 +34,7 @@ class Profile(NamedTuple):
     """A slide over time: arrays of shape (shape of the launches..., shape of the times...).
 
     ``speed`` in m/s and ``spin`` in rad/s are the values at these times; ``distance`` in m and
-    ``rotation`` in rad are those covered until then.
+    ``rotation`` in rad are those covered from the launch until these times.
     """
 
     times: Array

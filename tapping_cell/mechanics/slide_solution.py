@@ -18,9 +18,9 @@ translating regime (left) and in the spinning regime (right):
 
 Lambda is the torque factor times m R^2 / I. The motion converges to the only attracting zero of psi
 (the terminal ratio). Only the physical solution is bounded there. In the interval around that zero,
-the equations are therefore solved by collocation without an initial value. From there the Radau IIA
-method of order five, which is stable in this direction, continues the solution to pure sliding and
-to pure spinning.
+the equations are therefore solved by collocation without an initial value. From this interval, the
+Radau IIA method of order five continues the solution to pure sliding and to pure spinning. The
+method is stable in these directions.
 
 Near tau = 0, y contains powers of tau with exponents slightly above one. Near tau = 1, a ring's
 friction contains a logarithm. The knots of the table are therefore denser near both ends: they are
@@ -114,8 +114,8 @@ class SlideSolution:
         return p * flow * square, 2 * (1 - p), factors
 
     def _start(self, path_p: Array, first: int, values: Array, slopes: Array) -> None:
-        """Solve the interval that contains the terminal ratio, by collocation; because the solution
-        must be bounded, it needs no initial value."""
+        """Solve the equations in the interval that contains the terminal ratio, by collocation. No
+        initial value is needed, because the solution must be bounded."""
         low, high = path_p[first], path_p[first + 1]
         width = high - low
         points, _ = np.polynomial.legendre.leggauss(_START_DEGREE + 1)
@@ -170,7 +170,7 @@ class SlideSolution:
 
     def _terminal(self, path_p: Array, flow: Array, first: int) -> float:
         """Compute the limit of v / (R omega) at the end: inf if the spin vanishes first, 0 if the
-        speed does."""
+        speed vanishes first."""
         if first == 0 and flow[0] <= 0:
             return math.inf
         if first == path_p.size - 2 and flow[-1] >= 0:

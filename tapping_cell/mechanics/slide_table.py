@@ -4,7 +4,7 @@ It holds the functions X, Theta and D of ``slide_solution`` as cubic Hermite pol
 knots that are uniformly spaced in p (defined there). A single slide is computed with Python floats;
 many slides are computed in blocks that fit in the cache. The inverse looks up an estimate of p in a
 separate table and refines it by Newton steps on the forward table, so that ``launch`` inverts
-``rest`` up to rounding.
+``rest`` up to rounding errors.
 """
 
 from __future__ import annotations
@@ -87,8 +87,8 @@ class SlideTable:
         )
 
     def launch(self, travel: float, rim_travel: float) -> tuple[float, float]:
-        """Compute launch speed and rim speed of the slide that covers this travel and rim travel;
-        each has the sign of its travel."""
+        """Compute launch speed and rim speed of the slide that covers this travel and rim travel.
+        The speed has the sign of the travel, and the rim speed that of the rim travel."""
         x, r = abs(travel), abs(rim_travel)
         if x == 0.0 and r == 0.0:
             return 0.0, 0.0
@@ -209,9 +209,9 @@ class SlideTable:
         return _cubic(self._rates, index, t)
 
     def _inverse_guess(self) -> Array:
-        """Compute the table of p as a function of the ratio of the travels, which is graded like
-        tau. Return the coefficients of Hermite polynomials, first of the translating and then of
-        the spinning regime."""
+        """Compute the table of p as a function of the ratio of the travels. This ratio is graded
+        like tau. Return the coefficients of Hermite polynomials, first of the translating and then
+        of the spinning regime."""
         p = _floats(np.linspace(0.0, 1.0, PIECES + 1))
         halves = []
         for half in range(2):
@@ -256,7 +256,7 @@ class SlideTable:
 def _in_blocks(
     function: Callable[[Array, Array], Sequence[Array]], first: Array, second: Array
 ) -> list[Array]:
-    """Apply a function to blocks of two flat arrays that fit in the cache, and join its results."""
+    """Apply a function to two flat arrays in blocks that fit in the cache, and join the results."""
     parts = [slice(start, start + _CHUNK) for start in range(0, max(first.size, 1), _CHUNK)]
     results = zip(*(function(first[part], second[part]) for part in parts), strict=True)
     return [np.concatenate(blocks) for blocks in results]
@@ -302,8 +302,8 @@ def _hermite(values: Array, slopes: Array) -> Array:
 
 
 def _floats(values: NDArray[np.floating]) -> Array:
-    """Convert to float64, because the annotated types of numpy's interp and gradient are not
-    specific."""
+    """Convert to float64, because numpy's type annotations of interp and gradient are not specific
+    enough."""
     return np.asarray(values, dtype=np.float64)
 
 

@@ -104,11 +104,11 @@ class Sliding:
         return changed
 
     def rest(self, speed: ArrayLike, spin: ArrayLike, direction: ArrayLike = 0.0) -> Rest:
-        """Compute where and when a slide ends that is launched with ``speed`` in m/s and ``spin``
-        in rad/s, of either sign.
+        """Compute where and when a slide ends, given its launch velocities: ``speed`` in m/s and
+        ``spin`` in rad/s, both of either sign.
 
         Arguments broadcast; scalars give floats. ``direction`` (rad) is that of the launch in the
-        body's frame. It matters only for polygons, whose result also drifts sideways (``lateral``).
+        body's frame. It matters only for polygons. A polygon also drifts sideways (``lateral``).
         Distance and rotation have the signs of speed and spin. For a polygon, a small distance or
         rotation may have the opposite sign. Raises :class:`InvalidParameterError` for values that
         are not finite.
@@ -120,8 +120,9 @@ class Sliding:
     ) -> Launch:
         """Compute the launch that ends after ``distance`` (m) and ``rotation`` (rad), of any sign.
 
-        This is the inverse of :meth:`rest` with the same ``direction``; every pair is reachable by
-        sliding. Raises :class:`InvalidParameterError` for values that are not finite.
+        This is the inverse of :meth:`rest` with the same ``direction``; every pair of distance and
+        rotation is reachable by sliding. Raises :class:`InvalidParameterError` for values that are
+        not finite.
         """
         return self._model.launch(distance, rotation, direction)
 

@@ -227,7 +227,8 @@ class Tap:
     def plan_reachable(
         self, displacements: Array, object_pose: ArrayLike = _ORIGIN
     ) -> tuple[NDArray[np.bool_], TapPlan]:
-        """Return which displacements (n, 3) one tap can produce, (n,), and the plans of only these.
+        """Return a mask (n,) of the displacements (n, 3) that one tap can produce, and the plans of
+        these displacements only.
 
         Faster than ``reachable`` followed by ``plan``. ``object_pose``: (3,) or (n, 3).
         """
