@@ -39,7 +39,8 @@ DEFAULT_COUNT = 10
 """Number of simulated losses of each kind."""
 START, GOAL = Pose(-0.05, 0.02, 0.0), Pose(-0.02, 0.01, 0.2)
 SLOW_SPRING = SpringMechanism(step_rate=300.0)
-"""Spring that takes several seconds to charge, but less than the driver's timeout for charging."""
+"""Spring whose charging takes several seconds, but less time than the driver's timeout for
+charging."""
 LATEST_LOSS_S = 1.0
 """The node or the images are lost at a random time, at most this long after charging begins, s."""
 TIMEOUT_S = 90.0

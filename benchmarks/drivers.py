@@ -1,5 +1,5 @@
-"""Drivers of arm and tapper: overhead per tap, time until a stop is on the wire, and time to
-reconnect.
+"""Drivers of arm and tapper: overhead per tap, time until the bytes of a stop are on the serial
+line, and time to reconnect.
 
 The overhead is measured in the emulated devices' own time, so that it does not depend on the load
 of the computer. Replies take as long as on a real line at 115200 baud plus 2 ms for the adapter.

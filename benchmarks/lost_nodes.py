@@ -39,8 +39,8 @@ STRUCK = (*NODES, "camera_pose")
 GOALS, SEED = 10, 41
 COST_SEEDS, COST_GOALS = range(1, 5), 5
 MIN_HOLD_S = 0.16
-"""The duration in a ``hold_still`` request is longer than this limit if the tapper asks the arm to
-stand still, and shorter if the tapper ends the arm's promise early, s."""
+"""Limit of the duration in a ``hold_still`` request, s. A longer duration asks the arm to stand
+still; a shorter one ends the permit early."""
 
 
 def measure(count: int) -> dict[str, Any]:

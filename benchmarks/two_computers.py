@@ -26,7 +26,7 @@ from tapping_cell.nodes import MODULES
 DEFAULT_COUNT = 10
 """Number of goals."""
 PICTURES = 600
-"""Number of images per transport, which take 20 s."""
+"""Number of images per transport. Sending them takes 20 s."""
 RATE_HZ = 30.0
 SIZE = (1024, 1280)
 DELAY_S, LOSS = 0.020, 0.01

@@ -40,8 +40,8 @@ VERSION = f"{sys.version_info[0]}.{sys.version_info[1]}"  # of this interpreter
 # These are built without pip's isolated build environments, with the setuptools version of the
 # lock.
 SOURCE_DISTRIBUTIONS = ("empy",)
-# With ROS 2 from apt, these packages also come from apt, because its compiled messages need its
-# version of numpy.
+# With ROS 2 from apt, these packages also come from apt, because the compiled messages of this ROS
+# need the version of numpy from apt.
 FROM_APT = ("ros-", "colcon-", "numpy", "empy", "lark-parser", "catkin-pkg", "setuptools")
 # Variables that would make pip, CMake or colcon use another environment or another make.
 FOREIGN_VARIABLES = re.compile(
@@ -364,7 +364,8 @@ def repair_exports(prefix: Path) -> None:
     interpreter.
 
     The CMake targets of the interface wheels contain the include folders of the Python and numpy
-    with which the wheels were built. A build against them fails because these folders do not exist.
+    with which the wheels were built. A build with these targets fails because the folders do not
+    exist on this machine.
     """
     python = prefix / "bin" / "python"
     include = ask(python, "import sysconfig; print(sysconfig.get_path('include'))")

@@ -65,8 +65,9 @@ class ArrangedTap:
 class ArrangementRun:
     """One arrangement from its request to its end.
 
-    ``began``: s since 1970. ``seconds``: duration. ``table_size`` in m. ``contacts``: names of the
-    two objects in each contact in the ground truth; None without ground truth.
+    ``began``: s since 1970. ``seconds``: duration. ``table_size`` in m. ``contacts``: for each
+    contact in the ground truth, the names of the two objects that touched; None without ground
+    truth.
     """
 
     name: str

@@ -1,4 +1,5 @@
-"""Definitions of ROS messages, which make a bag readable without the packages installed."""
+"""Definitions of ROS messages. With them, a bag is readable even if the message packages are not
+installed."""
 
 from __future__ import annotations
 

@@ -23,8 +23,9 @@ class Learnt:
 
     ``distance`` is the ratio of measured to modelled distance, and ``rotation`` the ratio of
     measured to modelled rotation per distance. ``direction`` is in rad. ``offset_x`` is the
-    rotation per distance (rad/m) that a tap through the middle of the object in its -y direction
-    causes, and ``offset_y`` that of a tap in its +x direction. Unknown values are NaN.
+    rotation per distance (rad/m) caused by a tap through the middle of the object in the object's
+    -y direction, and ``offset_y`` the one caused by such a tap in the object's +x direction.
+    Unknown values are NaN.
     """
 
     distance: float = math.nan

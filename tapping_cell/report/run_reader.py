@@ -308,8 +308,8 @@ def _errors(bag: Bag, began: float, ended: float) -> tuple[ErrorEvent, ...]:
 
 
 def _finite(value: float) -> float:
-    """Return a tolerance. If it is not finite, which only a rejected request can contain, return
-    0."""
+    """Return a tolerance, or 0 if it is not finite. Only a rejected request can contain a tolerance
+    that is not finite."""
     return float(value) if math.isfinite(value) else 0.0
 
 

@@ -31,7 +31,7 @@ class Plan:
         self.height = self.high[1] - self.low[1]
         self.unit = max(self.width, self.height) / 100
         """A hundredth of the drawing's larger side, in mm. Line widths and font sizes are multiples
-        of it."""
+        of this length."""
 
     def table(self, half: ArrayLike) -> None:
         """Draw the table from its half lengths along x and y, in mm."""
@@ -166,6 +166,7 @@ def window(points: ArrayLike, margin: float, least: float) -> tuple[Array, Array
 
 
 def round_length(length: float) -> float:
-    """Return the largest 1, 2 or 5 times a power of ten that is at most ``length``."""
+    """Return the largest number of the form 1, 2 or 5 times a power of ten that is at most
+    ``length``."""
     power = 10.0 ** math.floor(math.log10(max(length, 1e-9)))
     return next(factor * power for factor in (5.0, 2.0, 1.0) if factor * power <= length * 1.0001)

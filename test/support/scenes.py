@@ -50,7 +50,7 @@ def renderer(
     seed: int = 0,
     **settings: float,
 ) -> SceneRenderer:
-    """Return the renderer of the standard scene with changes."""
+    """Return the renderer of the standard scene with the given changes."""
     return SceneRenderer(
         CAMERA, pose, references, DISK, marker, SceneSettings(**settings), seed=seed
     )

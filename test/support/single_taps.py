@@ -90,7 +90,8 @@ def simulated_experiment(
 
 
 class _Bench:
-    """The simulated world with a camera and a tapper that do not know its true parameters."""
+    """The simulated world, with a camera and a tapper that have no access to the true parameters of
+    the world."""
 
     def __init__(
         self,

@@ -39,11 +39,11 @@ class ControllerSettings:
     goal_time: float = 0.5
     """Maximum time to reach the goal after the trajectory's end, s."""
     path_tolerance: float = 0.05
-    """Maximum position error on the path, rad or m; only checked while an action goal is active."""
+    """Maximum position error on the path, rad or m; checked only while an action goal is active."""
     speed_scaling: float = 1.0
     """Factor on the trajectory's speed, as set by a robot's speed slider."""
     offset: float = 0.0
-    """Constant position error of every joint, as of a compliant drive, rad or m."""
+    """Constant position error of every joint, such as that of a compliant drive, rad or m."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,7 +122,7 @@ class TrajectoryController:
         self._blocked = None
 
     def push(self, offset: Sequence[float], now: float) -> None:
-        """Push the arm externally by ``offset``; it stays there."""
+        """Push the arm externally by ``offset``; the arm stays displaced."""
         place, _ = self._commanded(now)
         self._hold(place + np.asarray(offset, dtype=float), now)
 

@@ -1,7 +1,8 @@
 """Emulated digital output of a robot with its driver and link, in externally controlled time.
 
-A level takes effect with a delay, and requests of one client are processed in order. The remote
-side knows neither shots nor deadlines nor a maximum pulse, as is usual for robot outputs.
+A level takes effect with a delay, and requests of one client are processed in order. As is usual
+for the outputs of robots, the remote side has no information about shots and deadlines and does not
+limit the length of a pulse.
 """
 
 from __future__ import annotations
