@@ -247,7 +247,7 @@ def _without_planned_motion(cell: dict[str, Any]) -> float:
 
 
 class QuietTrial(Trial):
-    """A cell in virtual time without faults, whose computers share one clock."""
+    """A cell in virtual time and without faults. Its computers share one clock."""
 
     def __init__(self, seed: int, on_message: Callable[[str, Any], None]) -> None:
         self._receive = on_message

@@ -2,8 +2,8 @@
 
 The module needs root rights and the programs ``unshare``, ``nsenter`` and ``ip``; :func:`why_not`
 returns what is missing. Without simulated delay and loss, a veth pair connects two computers at the
-kernel's speed. Otherwise every packet passes through this module's relay, a switch between TAP
-devices, which forwards about a thousand packets per second.
+kernel's speed. Otherwise every packet passes through this module's relay. The relay is a switch
+between TAP devices and forwards about a thousand packets per second.
 """
 
 from __future__ import annotations

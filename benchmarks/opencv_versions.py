@@ -35,7 +35,7 @@ OVERLAY = ROOT / "build" / "oldest"
 
 
 def measure(count: int) -> dict[str, Any]:
-    """Return the results of both versions."""
+    """Return the results of both versions of OpenCV."""
     overlay = _overlay()
     with tempfile.TemporaryDirectory() as folder:
         truth = _render(Path(folder), count)

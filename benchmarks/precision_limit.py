@@ -5,8 +5,8 @@ For a round object on an open table, distance and rotation to the goal are the c
 tap is given by direction, distance and rotation. The benchmark computes the optimal policy over all
 taps, whereas the planning method ``optimal`` taps only along the line to the goal. Near the
 smallest tap, where the expected taps change rapidly, the grid is finer than that of ``optimal``.
-The camera noise is 0.01 mm and 0.01 degrees. The expected taps are accurate to 0.05 taps, which is
-the difference between the results of two grids.
+The camera noise is 0.01 mm and 0.01 degrees. The expected number of taps is accurate to 0.05: the
+results of two grids differ by this value.
 """
 
 from __future__ import annotations

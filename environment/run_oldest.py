@@ -1,4 +1,4 @@
-"""Run tests and a demo with the oldest supported package versions, which replace those of .venv.
+"""Run tests and a demo with the oldest supported package versions instead of those of .venv.
 
 Usage:
 

@@ -28,7 +28,7 @@ from pathlib import Path
 from typing import IO
 
 ROOT = Path(__file__).resolve().parent.parent
-# Name of the ring, which is its folder in test/, and the options with which it is run.
+# Name of the ring (the name of its folder in test/), and the options with which the ring is run.
 RINGS: dict[str, tuple[str, ...]] = {
     "pure": ("pure", "-n", "2"),
     "pty": ("pty", "-n", "4"),

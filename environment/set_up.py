@@ -211,8 +211,8 @@ def ros_sourced() -> bool:
 
 
 def build_environment(outside: Mapping[str, str], sourced: bool) -> dict[str, str]:
-    """Return the environment variables of the build: those of the shell, without those of other
-    environments.
+    """Return the environment variables of the build: the variables of the shell, without the
+    variables of other environments.
 
     The variables of a sourced ROS are kept, except for the folders that env.sh added. Without a
     sourced ROS, the variables of other ROS environments are replaced by the folders of the wheels.
@@ -314,7 +314,7 @@ def cause_of(text: str) -> str:
 
 def pinned(lock: str, sourced: bool) -> list[str]:
     """Return the lock's requirements to install, one per line with its hashes. For a ROS from apt,
-    these are only the packages that it does not contain."""
+    these are only the packages that this ROS does not contain."""
     logical = lock.replace("\\\n", " ").splitlines()
     lines = [line for line in logical if line and not line.startswith("#")]
     return [line for line in lines if not (sourced and line.startswith(FROM_APT))]

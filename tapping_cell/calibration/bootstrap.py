@@ -7,8 +7,8 @@ derivative of the cost at t_0. One Newton step gives the estimate from a resampl
 error of this estimate, so thousands of resamples cost only a matrix product. Trials are resampled
 within each run, so every run keeps its number of trials. The interval is the studentised one
 (percentile-t; Davison and Hinkley, Bootstrap Methods and their Application, 1997, section 5.2.1).
-Its coverage is correct even for a small number of trials. For such a number, the plain percentile
-interval is too short.
+The coverage of this interval is correct even for a small number of trials. For such a number, the
+plain percentile interval is too short.
 """
 
 from __future__ import annotations

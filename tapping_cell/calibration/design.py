@@ -134,7 +134,7 @@ def contact_of(tap: Tap, start: Pose, tip: Pose, striker_speed: float) -> tuple[
 
 
 def judged(trial: Trial, header: ExperimentFile, expected: float) -> Trial:
-    """Return the trial with the outcome that its motion shows (see ``trials.OUTCOMES``).
+    """Return the trial with the outcome that follows from its motion (see ``trials.OUTCOMES``).
 
     ``expected`` is the expected displacement in m. The outcome of a lost trial (no pose after the
     tap) is unchanged.

@@ -34,8 +34,8 @@ class StrikerSection:
 
 @dataclass(frozen=True, slots=True)
 class ExperimentFile:
-    """Header of the records. Its standard deviations apply to rows and track samples that do not
-    give their own."""
+    """Header of the records. Its standard deviations apply to rows and track samples without
+    standard deviations of their own."""
 
     format: int = quantity("version of the format", "", 1, 1)
     made: str = text("date and time, ISO 8601")

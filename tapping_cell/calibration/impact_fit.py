@@ -25,7 +25,8 @@ from scipy.optimize import least_squares
 from tapping_cell.mechanics import Body, Impact, Striker
 from tapping_cell.se2 import Array
 
-# All parameters of the impact. Restitution is fitted as ln(1 + e), the others as logarithms.
+# All parameters of the impact. The restitution e is fitted as ln(1 + e), the other parameters as
+# logarithms.
 NAMES = ("restitution", "contact_friction", "scale_b1", "scale_b2", "scale_b3")
 _LOW = dict(zip(NAMES, (0.0, math.log(0.005), *(math.log(0.05),) * 3), strict=True))
 _HIGH = dict(zip(NAMES, (math.log(2.0), math.log(2.0), *(math.log(20.0),) * 3), strict=True))
@@ -293,9 +294,9 @@ def _scatter(
 
 
 def _without_friction(model: ImpactModel, base: _Fit, stuck: _Fit, notes: list[str]) -> ImpactModel:
-    """Fix the contact friction, because contacts that stick explain the launches as well as
-    contacts that slide. The file's friction is kept unless it explains the launches worse than
-    contacts that stick. The launches do not give a bound on the friction, because an error
+    """Fix the contact friction, because contacts that stick explain the launches no worse than
+    contacts that slide. The file's friction is kept, except if it explains the launches worse than
+    contacts that stick do. The launches do not give a bound on the friction, because an error
     elsewhere in the model can make sliding contacts appear to stick.
     """
     known = model.known["contact_friction"]

@@ -71,8 +71,8 @@ class _Curve:
         width = _FARTHEST - sign * self._terminal
         if width < 1e-6:
             return np.zeros(0), np.zeros(0)
-        # Knots are dense near the terminal ratio, which is approached but never reached, and evenly
-        # spaced elsewhere.
+        # Knots are dense near the terminal ratio and evenly spaced elsewhere. The terminal ratio is
+        # approached but never reached.
         close = np.exp(np.linspace(_NEAREST, math.log(width), _KNOTS))
         away = np.union1d(close, np.arange(width, 0.0, -_SPACING))
         ratio = self._terminal + sign * away

@@ -86,10 +86,10 @@ class SlideFit:
     """Result of the fit: values in SI, arrays with one entry for each trial.
 
     ``score`` (n, 4) and ``information`` (n, 4, 4) are the gradient and the curvature of half the
-    sum of squares of each trial; the bootstrap uses them. They refer to ln friction, ln torque
-    factor, and x and y of the centre of pressure over the radius, with the local parameters
-    eliminated. ``pressure_centre`` is in m in the object frame. ``speed``, ``spin`` and
-    ``own_friction`` (relative to ``friction``) are estimated from each trial alone.
+    sum of squares of each trial; the bootstrap uses them. Score and information refer to ln
+    friction, ln torque factor, and x and y of the centre of pressure over the radius, with the
+    local parameters eliminated. ``pressure_centre`` is in m in the object frame. ``speed``,
+    ``spin`` and ``own_friction`` (relative to ``friction``) are estimated from each trial alone.
     """
 
     friction: float

@@ -262,7 +262,7 @@ def _join(
     (M, 3) and the camera poses.
 
     Raises:
-        CalibrationRefused: an image has no marker in common with the others.
+        CalibrationRefused: an image has no marker in common with the other images.
     """
     maps: list[dict[int, Array]] = [
         dict(zip(view.ids.tolist(), poses, strict=True))
@@ -401,7 +401,7 @@ class _Problem:
     def covariance(self, poses: Sequence[CameraPose], markers: Array) -> Array:
         """Compute the markers' covariance (3 M, 3 M) relative to their common frame.
 
-        It is scaled up if the residuals exceed the assumed noise.
+        The covariance is scaled up if the residuals exceed the assumed noise.
         """
         matrix, _, cost = self._normal(poses, markers)
         split = 6 * self.images

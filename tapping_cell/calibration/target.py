@@ -161,8 +161,8 @@ def find_target(image: Image, target: Target, name: str) -> TargetView | str:
 def _chessboard(image: Image, target: Target) -> tuple[NDArray[np.intp], Array] | str:
     """Detect all corners of a chessboard.
 
-    The sector-based detector (Duda and Frese 2018) is tried first, then the classic one, which
-    tolerates more perspective.
+    The sector-based detector (Duda and Frese 2018) is tried first. If it fails, the classic
+    detector is tried, which tolerates more perspective.
     """
     scale = max(1.0, image.shape[1] / _SEARCH_WIDTH)
     size = (round(image.shape[1] / scale), round(image.shape[0] / scale))

@@ -285,9 +285,9 @@ def track_name(run: int, trial: int) -> str:
 def append_trial(folder: Path, trial: Trial) -> None:
     """Write a trial's track, then append the trial to its run's file.
 
-    A crash in between leaves a track without a row, which is ignored and overwritten when the trial
-    is repeated. The run's file is replaced atomically, so that a crash leaves no empty or
-    incomplete file. ``file`` and ``row`` of the trial are ignored.
+    A crash between these two steps leaves a track without a row. Such a track is ignored, and it is
+    overwritten when the trial is repeated. The run's file is replaced atomically, so that a crash
+    leaves no empty or incomplete file. ``file`` and ``row`` of the trial are ignored.
 
     Raises:
         RecordError: the run's file already contains the trial.

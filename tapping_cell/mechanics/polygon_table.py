@@ -16,8 +16,8 @@ state that is reached is equivalent to a launch of a smaller size. The values fo
 already in the table (a semi-Lagrangian scheme). The table is filled with cubic interpolation on a
 coarse grid and read with linear interpolation on a finer grid.
 
-The table ends at ``LARGEST_SIZE``, which for the paper's objects is a slide of 100 to 200 mm. A
-faster launch is integrated by the equations of motion until it is within the table.
+The table ends at ``LARGEST_SIZE``. For the paper's objects, this size corresponds to a slide of 100
+to 200 mm. A faster launch is integrated by the equations of motion until it is within the table.
 
 Accuracy: 1e-3 of the displacement and 1e-2 of the duration.
 """

@@ -14,8 +14,8 @@ from tapping_cell.mechanics.slide_table import SlideTable
 
 _PROFILE_STEP = 0.04
 # ln of the smallest remaining fraction of the duration for which the ratio of the velocities is
-# computed. The displacement that then remains is about the square of this fraction (4e-18) of the
-# whole, which is less than rounding errors.
+# computed. The remaining displacement, relative to the whole displacement, is then about the square
+# of this fraction (4e-18) and thus less than the rounding errors.
 _PROFILE_END = -20.0
 
 

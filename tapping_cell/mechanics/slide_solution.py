@@ -107,8 +107,8 @@ class SlideSolution:
         return leading - trailing, factors
 
     def _equation(self, p: Array, spinning: NDArray[np.bool_]) -> tuple[Array, Array, Array]:
-        """Compute P, Q and a of the equation P dy/dp = Q (a y - 1), which is regular at both
-        ends."""
+        """Compute P, Q and a of the equation P dy/dp = Q (a y - 1). It is regular at both ends of
+        p."""
         flow, factors = self._terms(p, spinning)
         square = p * p + (1 - p) ** 2
         return p * flow * square, 2 * (1 - p), factors

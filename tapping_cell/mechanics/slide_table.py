@@ -49,9 +49,9 @@ class SlideTable:
             _hermite(v, s) for v, s in zip(solution.values, solution.slopes, strict=True)
         )
         self._forward = np.ascontiguousarray(np.concatenate([x, theta, duration], axis=1).T)
-        # The inverse finds p from the ratio of _minor to _major, which increases with p. _major is
-        # the travel that belongs to the larger of speed and rim speed: x in the translating regime,
-        # theta in the spinning regime. _minor is the other travel.
+        # The inverse finds p from the ratio of _minor to _major. This ratio increases with p.
+        # _major is the travel that belongs to the larger of speed and rim speed: x in the
+        # translating regime, theta in the spinning regime. _minor is the other travel.
         translating = np.arange(2 * PIECES)[:, None] < PIECES
         self._minor = np.ascontiguousarray(np.where(translating, theta, x).T)
         self._major = np.ascontiguousarray(np.where(translating, x, theta).T)

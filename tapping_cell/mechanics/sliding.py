@@ -145,10 +145,10 @@ class Sliding:
     ) -> Profile:
         """Compute velocities and displacement at ``times`` (s, from the launch, not negative).
 
-        Results have the shape of the broadcast launches followed by that of the times. The accuracy
-        is 1e-7 of the initial values, or 1e-4 for polygons. The speed and the distance of a polygon
-        are those along ``direction``. Raises :class:`InvalidParameterError` for values that are not
-        finite and for a negative time.
+        Results have the shape of the broadcast launches followed by the shape of the times. The
+        accuracy is 1e-7 of the initial values, or 1e-4 for polygons. The speed and the distance of
+        a polygon are those along ``direction``. Raises :class:`InvalidParameterError` for values
+        that are not finite and for a negative time.
         """
         v, w, a = np.broadcast_arrays(
             finite("speed", speed, "m/s"),

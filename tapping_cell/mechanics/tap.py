@@ -321,8 +321,8 @@ class Tap:
         along = velocity / np.where(speed > 0, speed, 1.0)[..., None]
         body = self.body
         lever = body.radius_of_gyration**2 * spin / np.where(speed > 0, speed, 1.0)
-        # The line of action is treated as the path of a point, whose first contact with the body is
-        # the contact point.
+        # The line of action is treated as the path of a point. The first contact of this point with
+        # the body is the contact point.
         far = 2 * body.bounding_radius
         start = lever[..., None] * to_right(along) - far * along
         line = first_contact(body, 0.0, start, along)
@@ -376,7 +376,7 @@ def _poses(name: str, values: ArrayLike) -> Array:
 
 
 def _in_frame(normal: Array, vector: Array) -> Array:
-    """Return the components along n and along t, which is n rotated by +90 degrees."""
+    """Return the components along n and along t, where t is n rotated by +90 degrees."""
     return np.stack([(normal * vector).sum(axis=-1), cross(normal, vector)], axis=-1)
 
 

@@ -75,7 +75,7 @@ def _percent(share: float) -> str:
 
 
 def _add_object(plan: Plan, outline: Array, resting: Pose) -> None:
-    """Add the object, which the animation moves. Without animation, as in print, it is at the pose
+    """Add the object that the animation moves. Without animation, as in print, it is at the pose
     ``resting``."""
     with plan.group(f'id="moving" style="transform:{_transform(resting, resting.theta)}"'):
         middle = Pose(0.0, 0.0, 0.0)

@@ -31,7 +31,7 @@ class MessageTypes:
     def definition(self, kind: str) -> tuple[str, str]:
         """Return definition and hash of a message type, such as ``geometry_msgs/msg/Pose``.
 
-        The definition has MCAP's format, which appends the definitions of all nested types.
+        The definition has MCAP's format: the definitions of all nested types are appended.
 
         Raises:
             UnknownMessageType: the type or a nested type is not found.

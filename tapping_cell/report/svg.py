@@ -116,7 +116,8 @@ class Plan:
             y = step * index
             self.polygon([(low[0], y), (low[0] + mark, y)], line, closed=False)
             if low[1] + 6 * self.unit < y < self.high[1] - 4 * self.unit:
-                # Keep a distance from the tick mark, which would otherwise look like a minus sign.
+                # Keep a distance from the tick mark, so that the mark does not look like a minus
+                # sign.
                 self.text(low[0] + 5.2 * self.unit, y, f"{y:g}", MUTED, 2.0)
         self.text(self.high[0] - 4 * self.unit, low[1] + 2.6 * self.unit, "x mm", MUTED, 2.0)
         self.text(low[0] + 5.2 * self.unit, self.high[1] - 2.2 * self.unit, "y mm", MUTED, 2.0)

@@ -1,5 +1,5 @@
-"""Visibility of points on the table for a camera whose view is partly occluded by bars, which model
-the links of the arm."""
+"""Visibility of points on the table for a camera whose view is partly occluded by bars. The bars
+model the links of the arm."""
 
 from __future__ import annotations
 

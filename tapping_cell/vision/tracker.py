@@ -170,8 +170,8 @@ class PoseTracker:
     def _watch_settled(self, image: Image, observation: Observation) -> None:
         """Keep this frame for comparison with the next frame.
 
-        Nothing is kept until the object has been at rest long enough, or while a reference marker
-        may be occluded.
+        The frame is not kept if the object has not been at rest long enough, or if a reference
+        marker may be occluded.
         """
         self._measured_at = observation.stamp
         view = self.view

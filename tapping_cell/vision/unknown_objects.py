@@ -14,7 +14,8 @@ footprint, because a camera above the table sees the side walls of an object out
 The outlines are therefore conservative.
 
 An outline is kept unchanged while the area changes by less than ``_SAME``, so that a planner can
-compare outlines. It is removed when its place has been seen without the object several times.
+compare outlines. The outline is removed when its place has been seen several times without the
+object.
 """
 
 from __future__ import annotations
@@ -181,9 +182,9 @@ class UnknownObjects:
     def _differs(self, seen: NDArray[np.float32], free: NDArray[np.bool_]) -> Mask:
         """Return the cells whose brightness differs from the table's.
 
-        The table's brightness is modelled by a cubic surface. It is fitted by least absolute
-        deviations (iteratively reweighted least squares), because objects cover a part of the
-        table.
+        The table's brightness is modelled by a cubic surface. This surface is fitted by least
+        absolute deviations (iteratively reweighted least squares), because objects cover a part of
+        the table.
         """
         rows = np.flatnonzero(free)
         rows = rows[:: max(1, len(rows) // _FIT_POINTS)]
@@ -201,8 +202,8 @@ class UnknownObjects:
             _RELATIVE_CONTRAST * table, max(_MIN_CONTRAST, _NOISE_DEVIATIONS * noise)
         )
         other = (free & (np.abs(np.nan_to_num(seen) - table) > least)).astype(np.uint8)
-        # Closing fills the thin line between a dark and a bright part of an object, which has the
-        # table's brightness.
+        # Between a dark and a bright part of an object, there is a thin line with the table's
+        # brightness. Closing fills this line.
         return np.asarray(cv2.morphologyEx(other, cv2.MORPH_CLOSE, _kernel(CELL)), dtype=np.uint8)
 
     # -- masks

@@ -40,8 +40,8 @@ def camera(random: Random) -> CameraModel:
         middle = 639.5 + random.uniform(-25.0, 25.0), 511.5 + random.uniform(-25.0, 25.0)
         radial = random.uniform(-0.25, 0.05), random.uniform(0.0, 0.08)
         tangential = random.uniform(-5e-4, 5e-4, 2).tolist()
-        # Some random coefficients map two directions to one pixel of the image, which no real lens
-        # does. CameraModel then raises an error, and other coefficients are chosen.
+        # Unlike a real lens, some random coefficients map two directions to one pixel of the image.
+        # CameraModel then raises an error, and other coefficients are chosen.
         with contextlib.suppress(CameraError):
             return CameraModel(*size, *middle, (*radial, *tangential, 0.0))
 

@@ -35,7 +35,7 @@ class LinkFaults:
     ahead: float = 0.0
     """Time by which the arm's clock is ahead, s."""
     foreign_names: bool = False
-    """Whether the joint states contain other joint names than those of the arm."""
+    """Whether the joint states contain joint names that differ from those of the arm."""
     no_velocities: bool = False
 
 

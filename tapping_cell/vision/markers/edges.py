@@ -327,7 +327,7 @@ def _uneven(samples: _EdgeSamples, white: Array) -> Array:
     length = samples.half_width + 0.5
     # ``slope`` is the gradient of the illumination towards increasing q, and the result is the
     # correction of q. The sign of the outward direction is not needed: it would be a factor of both
-    # and cancel.
+    # and would cancel.
     return np.asarray(-slope * length * (away - 0.5 * length))
 
 
@@ -349,8 +349,8 @@ def _level_noise(window: int) -> float:
     measured in the same rows.
 
     The edge position is the sum of a window's pixels divided by the contrast. Each pixel of the
-    window has the weight -1 in the sum. The outermost pixels at each end, whose mean is a level,
-    have an additional total weight of half the window.
+    window has the weight -1 in the sum. A level is the mean of the outermost pixels at one end.
+    These pixels have an additional total weight of half the window.
     """
     end = _outermost(window)
     outer = 0.5 * window / end - 1.0

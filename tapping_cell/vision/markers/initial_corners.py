@@ -40,7 +40,8 @@ def _once(image: Image, quad: Array, modules: int) -> Array:
     length = np.linalg.norm(along, axis=1)
     if not length.min() > 1.0:
         return quad
-    # Corners are clockwise in the image, where y points down, so outwards is to the left.
+    # In the image, y points down and the corners are clockwise, so the outward direction is to the
+    # left of the direction along a side.
     outward = np.stack([along[:, 1], -along[:, 0]], axis=-1) / length[:, None]
     # The search range across a side is proportional to the distance to the opposite side, because
     # in an oblique view, a module is narrower across two of the sides than along them.

@@ -27,7 +27,7 @@ from tapping_cell.vision.rest_detection import RestSettings
 _SLOW = 0.0001
 _SLOW_TURN = 0.002
 """Maximum displacement (m) and rotation (rad) between two frames, up to which the photometric
-alignment is used. It takes more computing time than the measurement of the edges."""
+alignment is used. This alignment takes more computing time than the measurement of the edges."""
 
 
 class MarkerFollower(ObjectFollower):

@@ -28,7 +28,7 @@ _CLEAN, _SMEARED = 0.03, 0.25
 """Noise level of ``MarkerEdges.pull``, and error of motion-blurred edges in pixels.
 
 An edge with a pull p above the noise level has an additional standard deviation of ``_SMEARED`` * p
-/ (1 - p). This was measured on rendered slides with motion blur of up to 14 pixels.
+/ (1 - p). This relation was measured on rendered slides with motion blur of up to 14 pixels.
 """
 _FREE, _USUAL_FREE = 4.0, 8.0
 """``_FREE``: degrees of freedom of the residuals when a square is fitted to four sides.
@@ -97,8 +97,8 @@ def fit_marker(view: View, edges: MarkerEdges, row: int, marker: ObjectMarker) -
 
 def _usually_oblong(view: View, edges: MarkerEdges, row: int) -> float:
     """Return the allowed difference of length and width of the object's marker, as a fraction of
-    the side. It is a multiple of the difference of length and width of the reference markers (the
-    other rows), and 0 if there are fewer than three of them."""
+    the side. The allowed difference is a multiple of the difference of length and width of the
+    reference markers (the other rows), or 0 if there are fewer than three reference markers."""
     references = np.delete(edges.corners, row, axis=0)
     if len(references) < 3:
         return 0.0
@@ -118,8 +118,9 @@ def _misfit(left: Array, weights: Array, noise: float) -> float:
     """Ratio, at least 1, by which the residuals of the four sides exceed their noise.
 
     Each of the four sides has a position and a rotation: eight degrees of freedom. A square
-    determines four of them. The residuals in the other four reveal glare, sharpening, compression
-    and bent paper. As four values are a small sample, a prior for their usual value is included.
+    determines four of them. The residuals in the other four degrees of freedom reveal glare,
+    sharpening, compression and bent paper. As four values are a small sample, a prior for their
+    usual value is included.
     """
     total = np.maximum(weights.sum(axis=1), 1e-9)
     place = (weights * left).sum(axis=1) / total

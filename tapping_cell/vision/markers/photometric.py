@@ -1,4 +1,4 @@
-"""Photometric alignment of a marker at rest, which uses every pixel of the pattern.
+"""Photometric alignment of a marker at rest, using every pixel of the pattern.
 
 The grey values are modelled by the blurred printed pattern, projected by the known camera at the
 known height. The pose has three unknowns. The parameters of illumination and ink are linear: a gain
@@ -7,9 +7,9 @@ from the assumed blur is linear too. Gauss-Newton starts from the pose given by 
 Kanade 1981; Baker and Matthews 2004 for the family of methods). A symmetric blur moves no edge, so
 it causes no bias.
 
-Smoothing, sharpening and compression make the noise of neighbouring pixels correlated. The
-covariance is corrected for this correlation, which is estimated from the autocorrelation of the
-residuals.
+Smoothing, sharpening and compression make the noise of neighbouring pixels correlated. This
+correlation is estimated from the autocorrelation of the residuals, and the covariance is corrected
+for it.
 """
 
 from __future__ import annotations
@@ -168,9 +168,9 @@ def align_again(
 ) -> Alignment | None:
     """Align the marker in a frame in which, according to the edges (``start``), it has not moved.
 
-    One step of Gauss-Newton from the last alignment suffices. It takes a tenth of the time of
-    :func:`align`. None means only that the marker or the illumination changed, not that the marker
-    is absent.
+    One step of Gauss-Newton from the last alignment suffices. This step takes a tenth of the time
+    of :func:`align`. None means only that the marker or the illumination changed, not that the
+    marker is absent.
     """
     gap = start - linearisation.pose
     if math.hypot(gap[0], gap[1]) > _LARGEST_STEP * linearisation.pixel:
@@ -244,8 +244,8 @@ def _judged(
 def _together(
     chosen: NDArray[np.intp], width: int, influence: Array, residual: Array
 ) -> NDArray[np.float64]:
-    """Return the covariance (3, 3) of the whitened pose parameters. It is the identity if the noise
-    of the pixels is independent, because the whitening assumes this.
+    """Return the covariance (3, 3) of the whitened pose parameters. The result is the identity if
+    the noise of the pixels is independent, because the whitening assumes independent noise.
 
     ``influence`` (N, 3) are the derivatives of the whitened parameters with respect to the pixels
     ``chosen`` (flat indices, rows of ``width``). The correlation of the noise is estimated from the

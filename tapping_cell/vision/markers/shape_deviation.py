@@ -27,10 +27,10 @@ _SHARE, _PIXELS, _SMEARED, _CONFIDENCE = 0.0006, 0.06, 0.3, 5.0
 
 The limit is the sum of four contributions. ``_SHARE`` is a constant relative error (of print and
 lens). ``_PIXELS`` is an error of the side's length in pixels (position of edges within pixels,
-nonlinear grey levels). ``_SMEARED`` is an error of blurred edges in pixels, which is multiplied by
-p / (1 - p), where p is ``MarkerEdges.pull``. ``_CONFIDENCE`` is a number of standard deviations of
-the noise. In none of 140 images did the deviation exceed this limit. The markers' sides were 28 to
-149 pixels long, and the images included the effects of gamma, Bayer patterns and blur.
+nonlinear grey levels). ``_SMEARED`` is an error of blurred edges in pixels; it is multiplied by p /
+(1 - p), where p is ``MarkerEdges.pull``. ``_CONFIDENCE`` is a number of standard deviations of the
+noise. In none of 140 images did the deviation exceed this limit. The markers' sides were 28 to 149
+pixels long, and the images included the effects of gamma, Bayer patterns and blur.
 """
 
 
@@ -57,7 +57,8 @@ class ShapeDeviation:
 def shape_deviation(
     view: View, edges: MarkerEdges, row: int, marker: ObjectMarker, fit: PoseFit, bloom: float
 ) -> ShapeDeviation:
-    """Compute how marker ``row`` of ``edges``, whose pose is ``fit``, differs from its file.
+    """Compute the deviation of marker ``row`` of ``edges`` from the marker's file. ``fit`` is the
+    fitted pose of the marker.
 
     ``bloom`` is the mean displacement (pixels) of the reference markers' sides outwards. This
     displacement is subtracted, because an effect of camera and ink on all markers is not a
@@ -148,8 +149,9 @@ def _covariance(
     """Covariance (3, 3) of the object's pose for these errors of the marker's shape."""
     away = stretch * (pose[:2] - view.pose.position[:2])
     # An object with the tilt t touches the table at its rim, about one marker side from its centre.
-    # The centre is therefore lifted by t times this side and appears displaced by r / h times the
-    # lift, which is twice the strain t r / (2 h) times the side (see the module's docstring).
+    # The centre is therefore lifted by t times this side and appears displaced by r / h times this
+    # lift. The displacement is twice the strain t r / (2 h) times the side (see the module's
+    # docstring).
     lifted = 2.0 * strain * marker.size
     covariance = np.zeros((3, 3))
     covariance[:2, :2] = np.outer(away, away) + lifted**2 * np.eye(2)

@@ -48,8 +48,8 @@ photographs)."""
 
 
 _TANH = 0.7978846, 0.0356774
-"""Coefficients of 1/2 + tanh(a z + b z^3) / 2, which approximates the normal distribution function
-to 3e-4 in a tenth of the time."""
+"""Coefficients a and b of 1/2 + tanh(a z + b z^3) / 2. This function approximates the normal
+distribution function to 3e-4 and takes a tenth of its computing time."""
 _UNIT = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
 
 
@@ -204,9 +204,9 @@ def _model(seen: Array, matrix: Array, blur: float, black: Array) -> tuple[Array
 
 
 def _fields(places: Array) -> tuple[Array, Array]:
-    """Return the derivatives (N, 8) of the coordinate u of points (N, 2) on the marker, and those
-    of v, with respect to the eight parameters of a small homography. The matrix of this homography
-    is 1 + (a b c; d e f; g h 0)."""
+    """Return the derivatives (N, 8) of the coordinate u and the derivatives (N, 8) of the
+    coordinate v of points (N, 2) on the marker with respect to the eight parameters of a small
+    homography. The matrix of this homography is 1 + (a b c; d e f; g h 0)."""
     u, v = places.T
     one, none = np.ones_like(u), np.zeros_like(u)
     return (
@@ -280,8 +280,8 @@ def _side_deviation(corners: Array, covariance: Array) -> float:
     """Return the standard deviation, in pixels, of the sides of a marker with these corners (4, 2)
     and their covariance (8, 8).
 
-    It is large enough that the sides, treated as four independent lines, determine neither the
-    position nor the angle of the marker more accurately than the corners do.
+    This standard deviation is large enough that the sides, treated as four independent lines,
+    determine neither the position nor the angle of the marker more accurately than the corners do.
     """
     to_middle = np.tile(np.eye(2), 4) / 4.0
     place = float(np.linalg.eigvalsh(to_middle @ covariance @ to_middle.T).max())

@@ -80,8 +80,8 @@ class OutlineFit:
     pixel noise. ``size`` is the apparent size (1: as configured). ``seen`` is the fraction of the
     rim that agrees with the model, and ``least_side`` the lowest such fraction among a polygon's
     long sides. ``contrast`` and ``dot_contrast`` are the contrasts of the rim and of the dot, in
-    grey levels; they are positive if they have the configured sign. ``noise`` is the noise of the
-    pixels in grey levels, and ``blur`` a sigma in pixels.
+    grey levels; a positive value has the configured sign. ``noise`` is the noise of the pixels in
+    grey levels, and ``blur`` a sigma in pixels.
     """
 
     pose: Array
@@ -99,7 +99,7 @@ class OutlineFit:
 @dataclass(frozen=True, slots=True, eq=False)
 class _Scene:
     """Constants of a fit. ``pixel`` is the size of a pixel in m at the height of the object's top,
-    ``step`` (2,) the object's motion since the last frame in pixels, which causes motion blur, and
+    ``step`` (2,) the object's motion since the last frame in pixels (the cause of motion blur), and
     ``with_dot`` states whether the dot is fitted."""
 
     outline: ObjectOutline
@@ -195,8 +195,8 @@ def fit_again(image: Image, linearisation: Linearisation, expected: Array) -> Ou
     """Fit the outline in a frame in which, according to ``expected`` (3,), the object has not
     moved.
 
-    This takes a fifth of the time of :func:`fit_outline`. None means only that the object or the
-    illumination changed, not that the object is absent.
+    This fit takes a fifth of the time of :func:`fit_outline`. None means only that the object or
+    the illumination changed, not that the object is absent.
     """
     scene, band, around = linearisation.scene, linearisation.band, linearisation.around
     if _way(expected - linearisation.state.pose, scene) > 2.0 * _SAME_PLACE:
@@ -265,8 +265,8 @@ class _State:
         return self.rounds >= 4
 
     def start_anew(self, band: Band) -> None:
-        """Reset the weights, because the pixels changed. The levels are kept unless the number of
-        sectors changed too."""
+        """Reset the weights, because the pixels changed. The levels are kept if the number of
+        sectors is unchanged."""
         if self.levels is None or len(self.levels) != len(band.counts):
             self.levels = self.dot_levels = None
         self.weight, self.dot_weight = band.real.astype(float), None
@@ -435,7 +435,7 @@ class _State:
 
     def _prior(self, scene: _Scene) -> Array:
         """Return the precisions (GLOBALS,) of the priors of the parameters that are common to all
-        sectors. They are very low for the pose."""
+        sectors. The precisions are very low for the pose."""
         blur = 4.0 if scene.measures else 1e8
         moving = float(np.hypot(*scene.step)) > _SMEARED and scene.measures
         place = 1.0 / (5.0 * scene.pixel) ** 2

@@ -56,16 +56,16 @@ _SHADES = (0.06, 0.1, 0.16, 0.25, 0.4, 0.7)
 """Thresholds for the relative difference of a blob's brightness from the surroundings."""
 _AREAS = (0.65, 1.45)
 _LARGEST_HULL_RATIO = 1.18
-"""``_AREAS`` are the minimum and maximum area of a blob, which may include walls and shadows,
-relative to the area of the object's top. ``_LARGEST_HULL_RATIO`` is the maximum area of a blob's
-convex hull, relative to the area of the blob."""
+"""``_AREAS`` are the minimum and maximum area of a blob, relative to the area of the object's top.
+A blob may include walls and shadows. ``_LARGEST_HULL_RATIO`` is the maximum area of a blob's convex
+hull, relative to the area of the blob."""
 _FORM = 0.12
 """Maximum relative deviation (rms) of a blob's shape from the outline. Walls and occlusion cause
 such deviations."""
 _CANDIDATES = 6
 _NEAR = 30
 """Maximum error of the angle found without considering the wall, in steps of
-:func:`turn_differences`. It corresponds to 15 degrees."""
+:func:`turn_differences`. The limit corresponds to 15 degrees."""
 _DOUBTFUL = 0.006
 """Relative difference between the fitted size and the size in the file, above which the fit is
 repeated with the size fixed."""
@@ -387,8 +387,8 @@ def _silhouette(view: View, outline: ObjectOutline, pose: Array) -> Array:
 def stands_out(image: Image, view: View, outline: ObjectOutline, pose: Array) -> bool:
     """Return False if the rim cannot be within some pixels of a pose (3,).
 
-    The test compares the grey levels on both sides of the rim at that pose, which takes a hundredth
-    of the time of a failed fit.
+    The test compares the grey levels on both sides of the rim at that pose. The test takes a
+    hundredth of the time of a failed fit.
     """
     pixel = (float(view.pose.position[2]) - outline.height) / view.camera.fx
     points = _walked(outline.points(24))

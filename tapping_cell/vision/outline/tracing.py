@@ -74,11 +74,11 @@ class NotTraced(ValueError):
 class TracedObject:
     """An object traced in one image, in m and rad.
 
-    The shape is a disk of ``radius`` or a convex polygon of ``vertices`` (counter-clockwise). Its
-    frame has its origin at the centre of the area and is aligned with the marker or, without a
-    marker, with the longest side. ``pose`` is the pose in ``table``, and ``brighter`` is True if
-    the object is brighter than the table. ``deviation`` is the root mean square distance of the rim
-    from the shape.
+    The shape is a disk of ``radius`` or a convex polygon of ``vertices`` (counter-clockwise). The
+    object's frame has its origin at the centre of the area and is aligned with the marker or,
+    without a marker, with the longest side. ``pose`` is the pose in ``table``, and ``brighter`` is
+    True if the object is brighter than the table. ``deviation`` is the root mean square distance of
+    the rim from the shape.
     """
 
     radius: float | None

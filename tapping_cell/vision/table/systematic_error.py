@@ -31,8 +31,8 @@ these are used instead.
 """
 _STATED_ASPECT = 0.25
 """Standard deviation of half the difference of the two focal lengths' errors, as a fraction of the
-standard deviation of their common error. It is used if the calibration states deviations. Measured:
-0.05 for calibrations from images of a board."""
+standard deviation of their common error. This value is used if the calibration states deviations.
+Measured: 0.05 for calibrations from images of a board."""
 _FIELD = np.geomspace(0.002, 12.0, 12)
 _PRINT = np.geomspace(2e-7, 6e-4, 20)
 """Grids of the amplitude of the lens errors, in units of the standard deviations in ``_LENS``, and
@@ -43,9 +43,9 @@ _TURNS = (0.1, 0.3, 1.0)
 divided by the one due to its position error. The lowest ratio is typical of markers printed on one
 sheet, the highest of markers glued individually."""
 _PRIOR = (0.7, 1.0), (4e-5, 1.3)
-"""Prior distributions of the amplitude of the lens errors and of that of a marker's misplacement:
-typical value, and standard deviation of its logarithm. They matter if there are only two or three
-references."""
+"""Prior distributions of two amplitudes, of the lens errors and of a marker's misplacement: the
+typical value of the amplitude, and the standard deviation of its logarithm. The priors matter if
+there are only two or three references."""
 _EXACT = (0.3, 0.1, 0.25)
 """Prior probabilities that both lens and print are practically exact, that only the lens is exact,
 and that only the print is exact. Exact means that the amplitude is the smallest one of its
@@ -82,8 +82,8 @@ class SystematicError:
         error.
 
         ``response`` (3, 6) is the derivative of this pose with respect to the camera's pose, and
-        ``lens`` (3, 8) that with respect to the lens parameters (:func:`lens_shifts`). The
-        covariance includes the noise of the reference markers, but not of the object's marker.
+        ``lens`` (3, 8) its derivative with respect to the lens parameters (:func:`lens_shifts`).
+        The covariance includes the noise of the reference markers, but not of the object's marker.
         """
         own, cross = lens @ lens.T, lens @ self.lens.T
         pulled = cross @ self.gain.T @ response.T
@@ -118,7 +118,7 @@ def condition(
     calibration states, and False if it is scaled by typical deviations.
     """
     # Use only the position and rotation of each marker. Ink, stray light and blur make a marker
-    # appear larger, smaller or stretched, which must not be attributed to the lens.
+    # appear larger, smaller or stretched. These effects must not be attributed to the lens.
     poses = _poses_of(points)
     full, _ = np.linalg.qr(poses @ trend, mode="complete")
     basis = poses.T @ full[:, 6:]
@@ -151,8 +151,8 @@ def condition(
 
 
 def _prior(field: Array, print_: Array, stated: bool) -> Array:
-    """Return the prior probabilities of combinations of amplitudes, whose squares are ``field``
-    (K,) for the lens errors and ``print_`` (K,) for the misplacement of markers."""
+    """Return the prior probabilities (K,) of combinations of amplitudes. The squared amplitudes are
+    ``field`` (K,) for the lens errors and ``print_`` (K,) for the misplacement of markers."""
     usually, exactly = [], []
     of_lens = _STATED if stated else _PRIOR[0]
     for power, (usual, spread) in ((field, of_lens), (print_, _PRIOR[1])):

@@ -4,8 +4,8 @@ While nothing moves, each marker's corners are averaged over the frames and the 
 the averages. Every frame is compared with the averages, marker by marker. If at least half of the
 markers deviate from their averages in several successive frames, the camera or the table was moved.
 The averages are then restarted and the move is reported. The residuals that remain after averaging
-are due to lens and printing rather than noise. They determine the systematic error of a pose
-measured on this table.
+are due to lens and printing rather than noise. These residuals determine the systematic error of a
+pose measured on this table.
 """
 
 from __future__ import annotations
@@ -300,7 +300,7 @@ class TableTracker:
 CROSS = 0.02 * np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
 """Points (4, 2) in m around an object's centre that represent its marker: if the image is shifted,
 rotated or sheared, a pose fitted to these points changes as much as a pose fitted to all sides of a
-square. Under shear, both rotate by the mean rotation of the square's sides."""
+square. Under shear, both poses rotate by the mean rotation of the square's sides."""
 
 
 def pose_changes(points: Array, shifts: Array) -> Array:
@@ -314,8 +314,8 @@ def pose_changes(points: Array, shifts: Array) -> Array:
 def pose_jacobian(view: View, object_pose: ArrayLike, height: float) -> Array:
     """Jacobian (3, 6) of a measured pose (x, y, theta) with respect to the camera's pose.
 
-    The pose is measured at ``height``. It is computed by finite differences with steps of 1e-6 in
-    rotation (rad) and translation (m).
+    The pose is measured at ``height``. The Jacobian is computed by finite differences with steps of
+    1e-6 in rotation (rad) and translation (m).
     """
     points = transform_points(object_pose, CROSS)
     seen = view.pose.apply(at_height(points, height))
