@@ -56,7 +56,7 @@ TOPICS = {
 
 @dataclass(slots=True)
 class Tap:
-    """Times of the events during one tap, s."""
+    """Times of the events during one tap, in s."""
 
     commanded: float
     planned: float = math.nan
@@ -121,7 +121,7 @@ class Stopwatch:
             getattr(self, f"_{topic}")(self._tap, message, stamp)
 
     def _planned(self, strike: Pose) -> float:
-        """Return the planned duration of the arm's motion to a strike, s; NaN without an arm."""
+        """Return the planned duration of the arm's motion to a strike, in s; NaN without an arm."""
         if self._times is None or self._tip is None:
             return math.nan
         return self._times.to_strikes(self._tip, np.array([strike])).item()
@@ -190,7 +190,7 @@ def _seconds(stamp: Any) -> float:
 
 
 def measure(count: int = DEFAULT_COUNT) -> dict[str, Any]:
-    """Return the mean duration of every activity over ``count`` goals in each cell, s."""
+    """Return the mean duration of every activity over ``count`` goals in each cell, in s."""
     return {
         "mechanics": _summary(in_virtual_time(count)),
         "graph": _summary(in_graph(count)),

@@ -42,7 +42,8 @@ SLOW_SPRING = SpringMechanism(step_rate=300.0)
 """Spring whose charging takes several seconds, but less time than the driver's timeout for
 charging."""
 LATEST_LOSS_S = 1.0
-"""The node or the images are lost at a random time, at most this long after charging begins, s."""
+"""Maximum time, in s, from the beginning of charging to the random time at which the node or the
+images are lost."""
 TIMEOUT_S = 90.0
 OVER = (PlanState.IDLE, PlanState.REACHED, PlanState.FAILED, PlanState.CANCELED)
 CAMERA = "camera_pose"
@@ -153,7 +154,7 @@ class ChargingCell:
 
 
 def measure(count: int) -> dict[str, Any]:
-    """Return, for each kind of loss, the times until the striker is discharged, s."""
+    """Return, for each kind of loss, the times until the striker is discharged, in s."""
     domain = own_domain()
     domain.use()
     chance = random.Random(1)

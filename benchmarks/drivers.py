@@ -215,7 +215,7 @@ def reconnect(times: int) -> dict[str, Any]:
 
 def _return_of(terminal: PseudoTerminal, driver: ArmDriver | TapperDriver) -> float:
     """Disconnect the cable, reconnect it while the driver waits, and return the time from the
-    reconnection until the device is identified, s."""
+    reconnection until the device is identified, in s."""
     terminal.hang_up()
     driver.close()
     back = threading.Timer(0.2, terminal.plug_in)

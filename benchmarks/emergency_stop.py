@@ -53,7 +53,7 @@ class StopTimer:
 
 
 def measure() -> dict[str, Any]:
-    """Return the latencies for each node and for a plain byte through the terminal, s."""
+    """Return the latencies for each node and for a plain byte through the terminal, in s."""
     domain = own_domain()
     domain.use()
     tapper = TapperEmulator(now=time.monotonic())

@@ -32,11 +32,11 @@ from tapping_cell.nodes.camera.images import PICTURES, to_message
 from tapping_cell.nodes.cell_node import choose_transport
 
 DEFAULT_COUNT = 20
-"""Duration of the measurement, s."""
+"""Duration of the measurement, in s."""
 TURN_S = 2.0
 SETTLE_S = 5.0
-"""Waiting time before the measurement, s. It begins when the object is stationary and the minimal
-processes have been started."""
+"""Waiting time before the measurement, in s. It begins when the object is stationary and the
+minimal processes have been started."""
 RATE_HZ = 30.0
 SIZE = (1024, 1280)
 IDLE_NODES = 6

@@ -39,7 +39,7 @@ STRUCK = (*NODES, "camera_pose")
 GOALS, SEED = 10, 41
 COST_SEEDS, COST_GOALS = range(1, 5), 5
 MIN_HOLD_S = 0.16
-"""Limit of the duration in a ``hold_still`` request, s. A longer duration asks the arm to stand
+"""Limit of the duration in a ``hold_still`` request, in s. A longer duration asks the arm to stand
 still; a shorter one ends the permit early."""
 
 
@@ -78,7 +78,7 @@ def _times(summary: Summary, node: str, ways: tuple[str, ...]) -> int:
 
 @dataclass(slots=True)
 class _Waits:
-    """Times in one run for which the tapper or the arm waited because of the permit, s."""
+    """Times in one run for which the tapper or the arm waited because of the permit, in s."""
 
     trial: Trial
     for_answer: list[float] = field(default_factory=list)

@@ -84,7 +84,7 @@ def lines(report: dict) -> list[str]:
 
 
 def _best(task: Callable[[], object], repetitions: int) -> float:
-    """Return the time of the fastest repetition, s."""
+    """Return the time of the fastest repetition, in s."""
     times = []
     for _ in range(repetitions):
         start = time.perf_counter()

@@ -102,11 +102,11 @@ class Computer:
 def computers(
     names: Sequence[str], delay: float = 0.0, loss: float = 0.0
 ) -> Iterator[list[Computer]]:
-    """Create computers on one network. ``delay``: delay of each packet, s; ``loss``: share of lost
-    packets.
+    """Create computers on one network. ``delay``: delay of each packet, in s; ``loss``: share of
+    lost packets.
 
     Raises:
-        ValueError: more than two computers without delay and loss.
+        ValueError: more than two computers are requested without delay and loss.
     """
     if not (delay or loss) and len(names) != 2:
         raise ValueError("a link without delay and loss connects exactly two computers")

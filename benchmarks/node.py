@@ -36,7 +36,7 @@ from tapping_cell.simulation.scene import make_renderer
 from tapping_cell.simulation.truth import CameraTruth
 
 DEFAULT_COUNT = 10
-"""Duration of the measurement, s."""
+"""Duration of the measurement, in s."""
 RATE = 30.0
 PICTURES = 60
 """Number of different images; they are published repeatedly."""

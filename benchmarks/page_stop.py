@@ -40,7 +40,7 @@ from tapping_cell.vision import CameraPose
 
 STOPS = 100
 PAUSE_S = 0.2
-"""Pause between stops, s."""
+"""Pause between stops, in s."""
 CLIENTS = 50
 BATCH_PERIOD_S = 0.05
 BATCH = 10

@@ -36,12 +36,12 @@ PLACES = {
     "desk": ("tap_planner", "run_recorder"),
 }
 CLOCKS_S = {"vision": 0.3, "drivers": 0.1, "desk": 0.0}
-"""Offset of each computer's clock in the run in which the cell must accept goals, s."""
+"""Offset of each computer's clock in the run in which the cell must accept goals, in s."""
 REFUSED_S = {
     "vision": {"vision": 2.0, "drivers": 0.0, "desk": 0.0},
     "drivers": {"vision": 0.0, "drivers": 2.0, "desk": 0.0},
 }
-"""Offsets of the computers' clocks, s. The name of each entry is the computer whose clock is too
+"""Offsets of the computers' clocks, in s. The name of each entry is the computer whose clock is too
 far ahead. A goal must be refused before its first tap, and the refusal must name this computer."""
 TIMEOUT_S = 120.0
 SETTLE_S = 3.0

@@ -236,7 +236,7 @@ def _cut(
 
 def _tracker(scene: SceneRenderer, cell: Cell) -> dict[str, float]:
     """Measure the complete tracker with reference markers: time per frame for a stationary and for
-    a sliding object, ms."""
+    a sliding object, in ms."""
     tracker = PoseTracker(scene.view.camera, cell.table, cell.marker)
     still, moving = [], []
     pose = np.array([-0.1, 0.05, 0.3])

@@ -127,12 +127,12 @@ class ArmCalibration:
 
     @property
     def position_rms(self) -> float:
-        """Root mean square distance between measured and predicted points, m."""
+        """Root mean square distance between measured and predicted points, in m."""
         return float(np.sqrt((self.residuals**2).sum(axis=1).mean()))
 
     @property
     def angle_rms(self) -> float | None:
-        """Root mean square of the angles' residuals, rad."""
+        """Root mean square of the angles' residuals, in rad."""
         return None if self.turns is None else float(np.sqrt((self.turns**2).mean()))
 
 

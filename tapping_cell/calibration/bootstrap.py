@@ -68,7 +68,7 @@ def spread(
     usable = np.isfinite(offset).all(axis=1) & np.isfinite(own_std).all(axis=1)
     ratio = offset[usable] / np.maximum(own_std[usable], 1e-3 * std + 1e-300)
     # Resampling within a run of n trials gives a variance that is too small by the factor (n - 1) /
-    # n. This is corrected with the mean of n / (n - 1) over all trials.
+    # n. The variance is corrected with the mean of n / (n - 1) over all trials.
     sizes = np.array([np.sum(labels == run) for run in labels], dtype=float)
     ratio *= math.sqrt(float(np.mean(sizes / np.maximum(sizes - 1, 1))))
     ratio = np.clip(ratio, -_MAX_STD, _MAX_STD)

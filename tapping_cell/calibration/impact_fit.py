@@ -190,7 +190,7 @@ class ImpactModel:
         return ImpactModel(strikes, self._body, self._striker, self.known)
 
     def rebound(self, values: Mapping[str, float]) -> Array:
-        """Compute the striker's speed (n,) along the contact normal after the impact, m/s.
+        """Compute the striker's speed (n,) along the contact normal after the impact, in m/s.
 
         As in the paper, restitution is a ratio of relative speeds: the striker's speed is the speed
         of the body's contact point minus e times the approach speed.

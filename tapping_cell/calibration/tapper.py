@@ -188,8 +188,8 @@ def calibrate_tapper(record: TapRecord, tap: Tap) -> TapperCalibration:
         )
     while True:
         curve = _Curve(x[usable], y[usable], seen[usable])
-        # For the shortest displacements, the camera's noise is the largest error. It is included in
-        # the expected scatter, so that these taps are not rejected.
+        # For the shortest displacements, the camera's noise is the largest error. This noise is
+        # included in the expected scatter, so that taps with short displacements are not rejected.
         off = np.abs(y - curve.at(x)[0]) / np.hypot(1.0, seen / max(curve.noise, _FLOOR))
         spread = max(1.4826 * float(np.median(off[usable])), _FLOOR)
         strange = usable & (off > _OUTLIER * spread)

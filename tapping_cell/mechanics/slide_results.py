@@ -16,8 +16,8 @@ class _RestFields(NamedTuple):
 class Rest(_RestFields):
     """End of a slide: ``distance`` along the launch in m, ``rotation`` in rad, ``duration`` in s.
 
-    It unpacks into these three values. ``lateral`` is the drift to the left of the launch in m; it
-    is 0 for bodies with isotropic friction.
+    The result unpacks into these three values. ``lateral`` is the drift to the left of the launch
+    in m; it is 0 for bodies with isotropic friction.
     """
 
     lateral: float | Array = 0.0

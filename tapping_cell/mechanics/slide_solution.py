@@ -135,8 +135,8 @@ class SlideSolution:
 
     def _march(self, path_p: Array, first: int, values: Array, slopes: Array) -> None:
         """Compute the Radau steps of all intervals at once. The step of an interval is an affine
-        map from the solution at its start to that at its end; these maps are then applied one after
-        another."""
+        map from the solution at the start of the interval to the solution at its end. The maps of
+        all intervals are then applied one after the other."""
         count = path_p.size - 1
         interval = np.arange(count)
         outward = interval > first

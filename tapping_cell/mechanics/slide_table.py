@@ -1,10 +1,10 @@
 """Table of all slides for one support and one torque factor, forward and inverse.
 
 It holds the functions X, Theta and D of ``slide_solution`` as cubic Hermite polynomials between
-knots that are uniformly spaced in p (defined there). A single slide is computed with Python floats;
-many slides are computed in blocks that fit in the cache. The inverse looks up an estimate of p in a
-separate table and refines it by Newton steps on the forward table, so that ``launch`` inverts
-``rest`` up to rounding errors.
+knots that are uniformly spaced in p (also defined in ``slide_solution``). A single slide is
+computed with Python floats; many slides are computed in blocks that fit in the cache. The inverse
+looks up an estimate of p in a separate table and refines it by Newton steps on the forward table,
+so that ``launch`` inverts ``rest`` up to rounding errors.
 """
 
 from __future__ import annotations
@@ -309,6 +309,6 @@ def _floats(values: NDArray[np.floating]) -> Array:
 
 @lru_cache(maxsize=32)
 def slide_table(support: str, torque_ratio: float) -> SlideTable:
-    """Return the table of a support and Lambda = torque factor * m R^2 / I; it is built once per
-    process."""
+    """Return the table of a support and Lambda = torque factor * m R^2 / I; the table is built once
+    per process."""
     return SlideTable(support, torque_ratio)

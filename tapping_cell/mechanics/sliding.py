@@ -77,9 +77,9 @@ class Sliding:
     def approximated(self) -> Sliding:
         """Return a copy in which a polygon slides like its equivalent disk.
 
-        The copy is much faster, with the errors given in :meth:`Polygon.equivalent_disk`. It is
-        intended for planners, which evaluate hundreds of taps per decision. A round body is
-        unaffected.
+        The copy is much faster, with the errors given in :meth:`Polygon.equivalent_disk`. The copy
+        is intended for planners, because they evaluate hundreds of taps per decision. A round body
+        is unaffected.
         """
         return self._with(self._axisymmetric)
 
@@ -108,10 +108,10 @@ class Sliding:
         ``spin`` in rad/s, both of either sign.
 
         Arguments broadcast; scalars give floats. ``direction`` (rad) is that of the launch in the
-        body's frame. It matters only for polygons. A polygon also drifts sideways (``lateral``).
-        Distance and rotation have the signs of speed and spin. For a polygon, a small distance or
-        rotation may have the opposite sign. Raises :class:`InvalidParameterError` for values that
-        are not finite.
+        body's frame. The direction matters only for polygons. A polygon also drifts sideways
+        (``lateral``). Distance and rotation have the signs of speed and spin. For a polygon, a
+        small distance or rotation may have the opposite sign. Raises :class:`InvalidParameterError`
+        for values that are not finite.
         """
         return self._model.rest(speed, spin, direction)
 

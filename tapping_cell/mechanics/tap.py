@@ -57,9 +57,9 @@ class TapPlan(NamedTuple):
 def tips_at_rest(
     strike_pose: ArrayLike, standoff: float, round_position: float = 0.0, round_angle: float = 0.0
 ) -> Array:
-    """Return poses (..., 3) of the tip ``standoff`` m behind strike poses. They are rounded to
-    multiples of ``round_position`` m and ``round_angle`` rad, the resolution of an arm; 0 means no
-    rounding."""
+    """Return poses (..., 3) of the tip ``standoff`` m behind strike poses. The returned poses are
+    rounded to multiples of ``round_position`` m and ``round_angle`` rad, the resolution of an arm;
+    0 means no rounding."""
     tips = np.array(strike_pose, dtype=float)
     tips[..., 0] -= standoff * np.cos(tips[..., 2])
     tips[..., 1] -= standoff * np.sin(tips[..., 2])

@@ -12,9 +12,9 @@ from tapping_cell.report.svg import Plan, stroke
 from tapping_cell.se2 import Array, Pose, transform_points
 
 TAP_S = 2.0
-"""Duration of each tap in the animation, s."""
+"""Duration of each tap in the animation, in s."""
 END_S = 2.0
-"""Duration of the final state before the animation restarts, s."""
+"""Duration of the final state before the animation restarts, in s."""
 APPROACH, SLIDE = 0.25, 0.55
 """Fractions of ``TAP_S`` at which the striker arrives, and at which the object has stopped."""
 ARROW_MM = 42.0

@@ -21,10 +21,10 @@ SUMMARY = "arrangement.json"
 class ArrangedObject:
     """One object of an arrangement. Poses in ``table``, m and rad; None if unknown.
 
-    ``outline``: corners in the object's frame, m. ``goal`` is None for an object that may be moved
-    only out of the way of other objects. ``end`` is the last measured pose, and ``end_true`` the
-    true pose at the end. ``outcome``: state of the object at the end, in words. ``tolerance`` is
-    that of the goal in m and rad, or None without a goal.
+    ``outline``: corners in the object's frame, in m. ``goal`` is None for an object that may be
+    moved only out of the way of other objects. ``end`` is the last measured pose, and ``end_true``
+    the true pose at the end. ``outcome``: state of the object at the end, in words. ``tolerance``
+    is that of the goal in m and rad, or None without a goal.
     """
 
     name: str

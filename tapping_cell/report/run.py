@@ -76,7 +76,7 @@ class TapRow:
     expected_taps: float = math.nan
     """Expected number of taps to the goal, including this tap; NaN if unknown."""
     expected_seconds: float = math.nan
-    """Expected time to the goal from the command of this tap, s; NaN if unknown."""
+    """Expected time to the goal from the command of this tap, in s; NaN if unknown."""
 
 
 @dataclass(frozen=True, slots=True)

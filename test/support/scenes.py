@@ -95,8 +95,8 @@ def area_sampled_marker(
     inside = (np.arange(samples) + 0.5) / samples - 0.5
     xs = (np.arange(x0, x1)[:, None] + inside).ravel()
     ys = (np.arange(y0, y1)[:, None] + inside).ravel()
-    # Positions on the plane are computed at every sixth pixel and interpolated by splines. This is
-    # exact enough, because the positions vary smoothly over the image.
+    # Positions on the plane are computed at every sixth pixel and interpolated by splines. The
+    # interpolation is exact enough, because the positions vary smoothly over the image.
     grid_x, grid_y = np.arange(x0 - 6, x1 + 12, 6.0), np.arange(y0 - 6, y1 + 12, 6.0)
     nodes = view.on_plane(np.stack(np.meshgrid(grid_x, grid_y), axis=-1), marker.height)
     # The nodes are transformed before interpolation. The result is the same as if all pixels were

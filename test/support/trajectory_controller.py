@@ -24,7 +24,7 @@ from tapping_cell.hardware.trajectory_link import GoalState, Progress
 Array = NDArray[np.float64]
 
 STEP = 1e-3
-"""Time step over which the arm's speed is measured, s."""
+"""Time step over which the arm's speed is measured, in s."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,11 +33,11 @@ class ControllerSettings:
 
     names: tuple[str, ...]
     lag: float = 0.02
-    """Delay from a commanded position until the arm reaches it, s."""
+    """Delay from a commanded position until the arm reaches it, in s."""
     goal_tolerance: float = 1e-3
     """Maximum position error at the goal, rad or m."""
     goal_time: float = 0.5
-    """Maximum time to reach the goal after the trajectory's end, s."""
+    """Maximum time to reach the goal after the trajectory's end, in s."""
     path_tolerance: float = 0.05
     """Maximum position error on the path, rad or m; checked only while an action goal is active."""
     speed_scaling: float = 1.0

@@ -77,7 +77,7 @@ class VirtualNode:
         return self.states[-1]
 
     def now(self) -> float:
-        """Return the virtual time, s."""
+        """Return the virtual time, in s."""
         return self.scheduler.now
 
     def stamp(self, ahead: float = 0.0) -> Time:

@@ -213,7 +213,8 @@ def _sample_edges(image: Image, quads: Array, half_width: int) -> _EdgeSamples:
     )
     corners = _corners(offset, slope, along)
     # Blur measure: the mean grey-level step between neighbouring pixels at the two ends of the
-    # window, divided by the mean contrast. It is near 0 if the window contains the whole edge.
+    # window, divided by the mean contrast. This measure is near 0 if the window contains the whole
+    # edge.
     ends = np.abs(np.matmul(usable[:, None, :], sums[..., 3:])[:, 0])
     soft = ends.sum(axis=1) / np.maximum(2.0 * (contrast * usable).sum(axis=1), 1e-9)
     return _EdgeSamples(

@@ -166,7 +166,7 @@ class TableTracker:
     ) -> None:
         self._disturbed_frames[rows] = np.where(disturbed, self._disturbed_frames[rows] + 1, 0)
         # A marker that remains away from its average for more than ``confirm_frames`` frames was
-        # moved. It is ignored until it is back at its place.
+        # moved. Such a marker is ignored until it is back at its place.
         self._moved_markers[rows] = disturbed & (
             self._disturbed_frames[rows] > self.settings.confirm_frames
         )
@@ -185,8 +185,8 @@ class TableTracker:
         limit = max(s.bloom, s.bloom_share * side)
         two = len(self.used) <= 2
         # With only two markers, the motion of one of them is difficult to distinguish from a motion
-        # of the camera. It changes their apparent size or the error of the fit, but a motion of the
-        # camera changes neither.
+        # of the camera. The motion of one marker changes the apparent size of the markers or the
+        # error of the fit; a motion of the camera changes neither.
         self.apart = False
         if two and self._before is not None:
             bloom, error = self._before
@@ -242,7 +242,7 @@ class TableTracker:
         seen, shifts = lens_shifts(view, points[fit.used], 0.0)
         count = int(fit.used.sum())
         # For each corner, compute the derivative of the position on the table with respect to the
-        # direction of the ray. It differs between corners if the view is oblique.
+        # direction of the ray. This derivative differs between corners if the view is oblique.
         ahead = seen.reshape(-1, 1, 2) + 1e-6 * np.eye(2)
         lengths = (view.rays_on_plane(ahead) - points[fit.used].reshape(-1, 1, 2)) / 1e-6
         block = block_diag(*lengths.transpose(0, 2, 1))
