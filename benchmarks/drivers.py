@@ -4,9 +4,9 @@ line, and time to reconnect.
 The overhead is measured in the emulated devices' own time, so that it does not depend on the load
 of the computer. Replies take the time of a real line at 115200 baud, plus 2 ms for the adapter.
 Commands arrive immediately, as over a native USB port. The bytes sent to the arm are counted,
-because each of them would take additional time on a slower line. Stops and reconnections are
-measured in real time over pseudo-terminals. For comparison, the times of a plain ``os.write``
-through the same terminal and of a plain opening of the port are measured.
+because each byte would take additional time on a slower line. Stops and reconnections are measured
+in real time over pseudo-terminals. For comparison, the times of a plain ``os.write`` through the
+same terminal and of a plain opening of the port are measured.
 """
 
 from __future__ import annotations

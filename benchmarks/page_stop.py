@@ -5,8 +5,8 @@ hostile clients with 200 messages per second each. The hostile clients first sen
 and invalid data to the page, and reconnect when disconnected. Then the hostile clients send
 ``check`` requests and invalid data to the port of STOP. The latency includes a browser's request
 over a new connection, the process, the middleware and the subscription in this process. For
-comparison, the latency is also measured without an attack, and for a message that this process
-publishes itself.
+comparison, two other latencies are measured: that of STOP without an attack, and that of a message
+that this process publishes itself.
 """
 
 from __future__ import annotations

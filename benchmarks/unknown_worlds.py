@@ -39,7 +39,7 @@ SPREADS = {"as the file": (1.0, 1.0), "within 2": (2.0, 2.0), "within 4 and 2.5"
 """For each group of random worlds, the largest ratio of true to configured friction, and the
 largest ratio of true to configured torque factor. Each ratio is drawn log-uniformly between the
 inverse of its largest value and this value. In the first group both ratios are 1, so this group
-shows how many additional taps are due to the other effects."""
+shows how many additional taps are due to all effects other than friction and torque factor."""
 
 
 def shipped_worlds() -> dict[str, TruthFile]:

@@ -1,8 +1,8 @@
 """Processor time per image with 1, 5 and 20 objects on the table, each with a marker of its own.
 
 The noise and the positions of the objects change from image to image, so that the tracker measures
-every object again. The benchmark measures all objects in each image, whereas the node measures only
-the first object in each image, and the other objects in turn.
+every object again. The benchmark measures all objects in each image, whereas the node measures the
+first object in each image and the other objects in turn.
 
 The processor time of the search for objects without a file is measured in the same images. Only the
 first object is known to the search, so the search has to find all other objects. (The node searches

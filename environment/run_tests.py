@@ -5,11 +5,11 @@ results.
 
 The pure ring is limited by the processor and does not depend on time. The pure ring runs at low
 priority in parallel with the other rings. The rings of the drivers and of the nodes mostly wait, so
-each of them distributes its tests to several processes. Tests of nodes that are marked ``alone``
-publish or process images at the camera's frame rate, and the graph tests run all nodes in real
-time. These tests run one after the other. The graph tests run after the pure ring has ended. Every
-ring runs even if an earlier ring failed. At the end, the duration and the processor time of each
-ring are printed. The last line contains the counts of all rings.
+each of these two rings distributes its tests to several processes. Tests of nodes that are marked
+``alone`` publish or process images at the camera's frame rate, and the graph tests run all nodes in
+real time. These tests run one after the other. The graph tests run after the pure ring has ended.
+Every ring runs even if an earlier ring failed. At the end, the duration and the processor time of
+each ring are printed. The last line contains the counts of all rings.
 """
 
 from __future__ import annotations

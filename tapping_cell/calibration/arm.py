@@ -46,8 +46,8 @@ _LOOSE = {"m": 0.005, "rad": np.radians(1.0)}
 """Maximum standard deviation of a fitted length (m) or angle (rad). If the poses determine a value
 less accurately, it is not fitted, and the cell file's value is kept."""
 _CORRELATED = 0.97
-"""Correlation of two fitted values above which a note says that the poses determine mainly a
-combination of the two."""
+"""Correlation of two fitted values above which a note is made that the poses determine mainly a
+combination of the two values."""
 _OUTLIER = 4.5
 """Number of robust standard deviations above which a row is an outlier. These robust standard
 deviations are at least ``_POSITION_FLOOR`` (m) and ``_ANGLE_FLOOR`` (rad)."""
@@ -179,8 +179,8 @@ def _unit(name: str) -> str:
 
 
 def _to_hold(free: Sequence[str], loose: dict[str, float]) -> str:
-    """Choose, among the poorly determined values, the next one to keep as in the cell file: the one
-    whose value in the file is most likely to be accurate."""
+    """Choose, among the poorly determined values, the next value that is not fitted but taken from
+    the cell file: the value that is most likely to be accurate in this file."""
     order = ("forearm", "upper_arm", "elbow_zero", "mount_x", "mount_y", "mount_angle")
     known = [name for name in order if name in free and not loose[name] <= 1.0]
     return known[0] if known else max(loose, key=lambda name: loose[name])

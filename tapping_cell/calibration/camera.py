@@ -26,7 +26,7 @@ from tapping_cell.vision.camera import CameraError, CameraModel
 MIN_VIEWS = 6
 """Minimum number of views for a calibration; about 20 are recommended."""
 _MIN_TURN = np.radians(10.0)
-"""Minimum angle between the target planes of the two views that differ most."""
+"""Minimum angle between the target planes of those two views whose planes differ most."""
 _WORST_FOCAL = 0.01
 """Maximum relative standard deviation of a focal length."""
 _OUTLIER_RATIO, _OUTLIER_PIXELS = 3.0, 0.4

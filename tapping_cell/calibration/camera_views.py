@@ -34,7 +34,8 @@ class Rejected:
 def screen(
     views: Sequence[TargetView], size: tuple[int, int]
 ) -> tuple[list[TargetView], list[Rejected]]:
-    """Reject blurred views and, among views of the same pose, all except the first."""
+    """Reject blurred views and, among several views of the same pose, all views except the
+    first."""
     usual = float(np.median([view.blur for view in views])) if views else 0.0
     near = _SAME_SHARE * float(np.hypot(*size))
     kept: list[TargetView] = []
@@ -65,8 +66,9 @@ def screen(
 
 
 def _apart(view: TargetView, other: TargetView) -> float:
-    """Return the mean distance, in pixels, between the positions of a corner in the two views, over
-    the corners that both views show; infinite if these are fewer than four."""
+    """Return the mean distance, in pixels, between the positions of the same corner in the two
+    views, over all corners that both views show. It is infinite if both views show fewer than four
+    common corners."""
     _, mine, others = np.intersect1d(view.ids, other.ids, return_indices=True)
     if len(mine) < 4:
         return np.inf

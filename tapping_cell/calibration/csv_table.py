@@ -38,7 +38,7 @@ UNITS: dict[str, dict[str, float]] = {
 _DECIMAL_POINT = re.compile(r"[+-]?\d*\.\d*([eE][+-]?\d+)?")
 _DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d*([eE][+-]?\d+)?")
 _MOST = 0.3
-"""Maximum fraction of rows out of range; above it, the whole file is rejected."""
+"""Maximum fraction of rows out of range; above this fraction, the whole file is rejected."""
 
 
 class RecordError(ValueError):

@@ -2,10 +2,10 @@
 
 The Fisher information of the launches is the sum of their squared derivatives with respect to the
 parameters, divided by the variance of a tap. The information is computed for all parameters,
-including those that the fit keeps fixed. A parameter is not determined if, with all others free,
-its relative standard deviation is too large. Eigenvectors with small eigenvalues are combinations
-of parameters that are not determined. The information of candidate experiments is added to that of
-the trials, and the best candidate is recommended.
+including those that the fit keeps fixed. A parameter is not determined if, with all other
+parameters free, its relative standard deviation is too large. Eigenvectors with small eigenvalues
+are combinations of parameters that are not determined. The information of candidate experiments is
+added to that of the trials, and the best candidate is recommended.
 """
 
 from __future__ import annotations

@@ -1,9 +1,10 @@
 """Fit of restitution, contact friction and the scales of the impact constants B1, B2 and B3 to
 measured launches.
 
-A trial gives the striker's speed, contact point, incidence and launch: speed, spin over speed, and
-direction relative to the contact normal. The residuals of the impact model (``mechanics.impact``)
-are divided by the scatter of a tap. This scatter is estimated together with the parameters.
+A trial gives the striker's speed, the contact point, the incidence and the launch. The launch
+consists of speed, spin over speed, and direction relative to the contact normal. The residuals of
+the impact model (``mechanics.impact``) are divided by the scatter of a tap. This scatter is
+estimated together with the parameters.
 
 The data decide which parameters are free. Restitution is free, and contact friction is free if the
 contact slid in enough trials. The scale of B1 (and that of B3, if B3 differs between the trials) is

@@ -2,11 +2,11 @@
 
 The equations and tables are those of ``mechanics.sliding``, arranged for fits: a fit needs a few
 samples of each of many slides, for changing parameters. Slides are self-similar: the ratio of spin
-to speed, as a function of the remaining time, follows one of two curves, above or below its
-terminal value. A table of these two curves is therefore sufficient for all launches. There is a
-table for each torque factor of a grid. Between the torque factors of the grid, values are
-interpolated. The interpolation also gives the derivatives of the values with respect to the torque
-factor.
+to speed, as a function of the remaining time, follows one of two curves: one above the terminal
+value of the ratio, one below this value. A table of these two curves is therefore sufficient for
+all launches. There is a table for each torque factor of a grid. Between the torque factors of the
+grid, values are interpolated. The interpolation also gives the derivatives of the values with
+respect to the torque factor.
 """
 
 from __future__ import annotations

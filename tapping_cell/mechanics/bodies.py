@@ -122,7 +122,8 @@ class Polygon(Body):
     ``vertices`` (N, 2) in m may be in clockwise or counter-clockwise order; they are stored
     counter-clockwise, with the centre of mass as origin. ``mass`` is in kg and ``height`` in m.
     Raises :class:`InvalidBodyError` for fewer than three vertices, a repeated vertex, a polygon
-    that crosses itself or is not convex, zero area, and values that are not finite and positive.
+    that crosses itself or is not convex, zero area, and values that are not both finite and
+    positive.
     """
 
     vertices: tuple[tuple[float, float], ...]

@@ -136,8 +136,9 @@ class Impact:
         """Compute the maximum angle (rad) of the impulse to either side of the normal at
         ``contact``.
 
-        If the contact slides throughout the impact at ``LARGEST_INCIDENCE``, this is the arctangent
-        of the contact friction; otherwise it is smaller. ``contact`` (..., 2) is (c_n, c_t) in m.
+        If the contact slides throughout the impact at ``LARGEST_INCIDENCE``, the angle is the
+        arctangent of the contact friction; otherwise the angle is smaller. ``contact`` (..., 2) is
+        (c_n, c_t) in m.
         """
         c = np.asarray(contact, dtype=float)
         angle = np.full(c.shape[:-1], LARGEST_INCIDENCE)
@@ -229,7 +230,8 @@ class Impact:
         return bracket.found.reshape(bracket.shape)
 
     def _bracket(self, impulse_slope: ArrayLike, contact: ArrayLike) -> _Bracket:
-        """Find a range of incidences that contains the one at which the impulse has this slope."""
+        """Find a range of incidences that contains the incidence at which the impulse has this
+        slope."""
         slope = np.asarray(impulse_slope, dtype=float)
         c = np.asarray(contact, dtype=float)
         shape = np.broadcast_shapes(slope.shape, c.shape[:-1])

@@ -221,7 +221,8 @@ class PolygonTable:
         return np.asarray(np.stack(found) + self._disk_factors(phi))
 
     def _finer(self, table: Array) -> Array:
-        """Interpolate the coarse table to the finer grid; its last direction repeats the first."""
+        """Interpolate the coarse table to the finer grid. In the finer grid, the last direction
+        repeats the first."""
         _, ratios, directions = self._shape
         grid = np.meshgrid(
             np.linspace(0, _RATIOS - 1, ratios),

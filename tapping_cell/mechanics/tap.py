@@ -3,7 +3,7 @@
 The body is launched along the impulse, so the desired launch determines the impulse's line of
 action. This line has the direction of the velocity, and its distance from the centre of mass is (I
 omega) / (m v). The contact point is where the line enters the body, and the angle of the line from
-the contact normal must be within the friction cone. The striker's axis is the one for which Routh's
+the contact normal must be within the friction cone. The striker's axis is chosen such that Routh's
 method gives this impulse angle.
 """
 

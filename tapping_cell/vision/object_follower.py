@@ -44,7 +44,7 @@ processing time of one frame on a slow computer."""
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frame:
-    """A valid frame, and the state of the table in it."""
+    """A valid frame, and the state of the table in this frame."""
 
     image: Image
     stamp: float

@@ -150,8 +150,8 @@ class Track:
         fused, spread = self._fused
         if _distance(pose, covariance, fused, spread) > self.settings.leave:
             return False
-        # A motion may be too slow to exceed the noise of one frame. To detect it, compare the mean
-        # of the last few frames with the mean of all frames of the rest.
+        # A motion may be too slow to exceed the noise of one frame. To detect such a motion,
+        # compare the mean of the last few frames with the mean of all frames of the rest.
         if len(self._poses) < 12:
             return True
         mean, error = fuse_information(

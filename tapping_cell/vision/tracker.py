@@ -99,8 +99,8 @@ class PoseTracker:
 
     @property
     def view(self) -> View | None:
-        """The camera with its current pose over the table; None before the first reference
-        markers."""
+        """The camera with its current pose over the table; None before reference markers were
+        measured for the first time."""
         return None if self.table.pose is None else View(self.camera, self.table.pose)
 
     def update(self, image: Image, stamp: float) -> Observation:

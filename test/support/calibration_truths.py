@@ -142,8 +142,9 @@ def markers_sheet(references: ReferenceMap) -> Sheet:
 
 
 def arm(random: Random) -> dict[str, float]:
-    """Return parameters of an arm that differ from the drawing by up to a few cm and 10 degrees,
-    with an elbow zero wrong by 1 degree, and a random mount of the marker."""
+    """Return random parameters of an arm. The base pose deviates from the drawing by 20 mm and 0.1
+    rad, and the elbow's zero deviates by 0.02 rad (standard deviations). The mount of the marker is
+    random too."""
     geometry = ScaraGeometry()
     return {
         "base_x": random.normal(0.0, 0.02),

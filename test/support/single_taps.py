@@ -75,7 +75,8 @@ def simulated_experiment(
     noise_known: bool = True,
 ) -> Experiment:
     """Return one experiment as it is read from its folder. ``noise_known``: whether the header
-    contains the noise of a pose at rest; otherwise, its default values are used."""
+    contains the noise of a pose at rest; if it does not, the default values of the header are
+    used."""
     noise = zip(("rest_position_std", "rest_rotation_std"), design.rest_noise, strict=True)
     header = ExperimentFile(
         format=1,

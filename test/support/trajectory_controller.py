@@ -4,7 +4,7 @@ The emulator accepts a trajectory if it names the controller's joints, in any or
 times increase. A new trajectory replaces the current one, starting from the present command
 (preemption). Points with velocities are joined by cubics, others by straight lines. The arm follows
 its commands with a lag. An action goal succeeds once every joint is within its goal tolerance after
-the trajectory's end. The goal is aborted if this takes longer than the goal time or if the arm
+the trajectory's end. The goal is aborted if the joints need longer than the goal time or if the arm
 leaves the path tolerance.
 """
 
@@ -52,7 +52,7 @@ class _Run:
 
     start: float
     points: tuple[TrajectoryPoint, ...]
-    """Points of the trajectory; the first is the state at the start."""
+    """Points of the trajectory; the first point is the state at the start."""
 
 
 class TrajectoryController:
@@ -202,7 +202,7 @@ class TrajectoryController:
 
 
 def _between(before: TrajectoryPoint, after: TrajectoryPoint, time: float) -> tuple[Array, Array]:
-    """Interpolate between two points by a cubic, or linearly without velocities."""
+    """Interpolate between two points by a cubic, or linearly if the points have no velocities."""
     a, b = np.array(before.positions), np.array(after.positions)
     span = after.time - before.time
     u = (time - before.time) / span

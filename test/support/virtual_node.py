@@ -26,8 +26,8 @@ PROBE = "probe"
 
 
 class VirtualNode:
-    """One node in virtual time, and a probe that exchanges messages with it in place of all other
-    nodes. Times in s since the start."""
+    """One node in virtual time, and a probe that replaces all other nodes and exchanges messages
+    with this node. Times in s since the start."""
 
     def __init__(
         self,

@@ -41,7 +41,7 @@ class OutputDevice:
     """The output, the guard, and the true state of the coil."""
 
     latency: float = 0.004
-    """Delay from a request to its effect, and from there to its answer, in s."""
+    """Delay from a request to its effect, and delay from the effect to the answer, both in s."""
     guard_closed: bool = True
     faults: OutputFaults = field(default_factory=OutputFaults)
     edges: list[tuple[float, bool]] = field(default_factory=list)
@@ -214,7 +214,7 @@ class VirtualOutputLink:
         return self._number
 
     def _last_report_at(self) -> float | None:
-        """Return the time of the last input message; None before the first one."""
+        """Return the time of the last input message; None before the first message."""
         faults = self.device.faults
         if math.isinf(self._opened):
             return None

@@ -26,9 +26,9 @@ _MIN_CONTRAST = 12.0
 """Minimum difference of the white and black grey levels at a side (six times the usual noise)."""
 _SOFT = 0.02
 """Maximum slope of the grey level at the ends of the window across an edge, per pixel and relative
-to the contrast. Above it the blur of the edge reaches the ends, and the levels measured there are
-wrong. The result is then biased towards the middle of the window, so the measurement is repeated
-until the window is centred on the result."""
+to the contrast. Above this slope, the blur of the edge reaches the ends, and the levels measured
+there are wrong. The result is then biased towards the middle of the window, so the measurement is
+repeated until the window is centred on the result."""
 _USUAL = 0.68
 """Half width of a window in modules, at most 4 pixels. The ends of a narrower window would lie in
 the blur of the edge. The ends of a wider window would, on small markers, lie in the blur of the

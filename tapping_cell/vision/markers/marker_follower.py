@@ -98,7 +98,7 @@ class MarkerFollower(ObjectFollower):
             )
 
     def measure(self, frame: Frame) -> tuple[Array, Array] | Failure:
-        """Measure the marker at its detected or predicted position, or near it."""
+        """Measure the marker at its detected or predicted position, or near that position."""
         searched = self._searched_at == frame.stamp
         if searched and self._detected is None and self.failure is not None:
             return self.failure

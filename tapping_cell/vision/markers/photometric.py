@@ -3,9 +3,9 @@
 The grey values are modelled by the blurred printed pattern, projected by the known camera at the
 known height. The pose has three unknowns. The parameters of illumination and ink are linear: a gain
 and an offset, each with a gradient across the marker. To first order, the deviation of the blur
-from the assumed blur is linear too. Gauss-Newton starts from the pose given by the edges (Lucas and
-Kanade 1981; Baker and Matthews 2004 for the family of methods). A symmetric blur moves no edge, so
-it causes no bias.
+from the assumed blur is also a linear parameter. Gauss-Newton starts from the pose given by the
+edges (Lucas and Kanade 1981; Baker and Matthews 2004 for the family of methods). A symmetric blur
+moves no edge, so it causes no bias.
 
 Smoothing, sharpening and compression make the noise of neighbouring pixels correlated. This
 correlation is estimated from the autocorrelation of the residuals, and the covariance is corrected
@@ -27,7 +27,8 @@ from tapping_cell.vision.camera import Array, CameraModel, Image, View
 from tapping_cell.vision.markers.detection import ObjectMarker, marker_pattern
 
 _MARGIN = 0.4
-"""Width of the white border used, in modules; an adjacent object may begin beyond it."""
+"""Width of the used part of the white border, in modules; an adjacent object may begin beyond this
+part."""
 _LARGEST_STEP = 0.5
 """Maximum distance of the result from the initial pose, in pixels. The initial pose comes from the
 edges, and its error is smaller than this distance."""

@@ -3,8 +3,8 @@
 Several candidate positions are found, and the outline is fitted at each of them. Candidates are
 blobs of about the right area that are darker or brighter than their surroundings. They are
 extracted by morphological closing or opening of a downscaled image, with several thresholds,
-because the object's brightness is unknown. If none of them fits, evenly lit patches are tried
-(``patches``). A polygon's angle is found from the distances of its rim from its
+because the object's brightness is unknown. If the outline fits none of these blobs, evenly lit
+patches are tried (``patches``). A polygon's angle is found from the distances of its rim from its
 centre. The dot resolves the angle of a disk and the ambiguity of a symmetric polygon.
 """
 

@@ -204,8 +204,8 @@ def _wrong_one(white: Array, left: Array, jacobian: Array) -> int | None:
     most; None if no exclusion halves this sum. ``left`` (M, 8) are the residuals.
 
     The returned marker need not be the marker with the largest residual, because a marker far from
-    the others pulls the fit towards itself (its leverage; Cook and Weisberg 1982). ``white`` is (M,
-    8, 8) and the whitened ``jacobian`` (M, 8, 6).
+    the other markers pulls the fit towards itself (its leverage; Cook and Weisberg 1982). ``white``
+    is (M, 8, 8) and the whitened ``jacobian`` (M, 8, 6).
     """
     covariance = np.linalg.inv(np.einsum("mki,mkj->ij", jacobian, jacobian))
     error = (white @ left[..., None])[..., 0]

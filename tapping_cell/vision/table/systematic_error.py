@@ -2,12 +2,12 @@
 
 After the camera's pose is fitted, the references still deviate from their positions in the map.
 Part of this is due to an inaccurate lens calibration, part is individual to each marker (printing,
-gluing), and part is noise. All three are modelled as Gaussian. The amplitudes of the first two are
-unknown. Conditioned on the references, the model gives the expected error of a pose measured at any
-place and height above the table, and the remaining uncertainty. This is kriging with the camera's
-pose as trend (Rasmussen and Williams 2006, chapter 2). The results for a grid of amplitudes are
-averaged with the restricted likelihood of the amplitudes as weight, so that the ambiguity left by
-few references increases the covariance.
+gluing), and part is noise. All three are modelled as Gaussian. The amplitudes of the errors of lens
+and markers are unknown. Conditioned on the references, the model gives the expected error of a pose
+measured at any place and height above the table, and the remaining uncertainty. This is kriging
+with the camera's pose as trend (Rasmussen and Williams 2006, chapter 2). The results for a grid of
+amplitudes are averaged with the restricted likelihood of the amplitudes as weight, so that the
+ambiguity left by few references increases the covariance.
 """
 
 from __future__ import annotations
@@ -39,9 +39,9 @@ _PRINT = np.geomspace(2e-7, 6e-4, 20)
 of the amplitude of a marker's misplacement, in m. Coarser steps make the covariance too small if
 the true value is between two steps."""
 _TURNS = (0.1, 0.3, 1.0)
-"""Assumed ratios of two displacements of a marker's corners: the one due to its rotation error,
-divided by the one due to its position error. The lowest ratio is typical of markers printed on one
-sheet, the highest of markers glued individually."""
+"""Assumed ratios of two displacements of a marker's corners: the displacement due to the marker's
+rotation error, divided by the displacement due to its position error. The lowest ratio is typical
+of markers printed on one sheet, the highest of markers glued individually."""
 _PRIOR = (0.7, 1.0), (4e-5, 1.3)
 """Prior distributions of two amplitudes, of the lens errors and of a marker's misplacement: the
 typical value of the amplitude, and the standard deviation of its logarithm. The priors matter if
@@ -204,8 +204,9 @@ def lens_shifts(view: View, points: Array, height: float) -> tuple[Array, Array]
     """Return the directions (..., 2) of points (..., 2) of the plane at ``height``, and the changes
     (..., 2, 8) of these directions due to errors of eight lens parameters.
 
-    For each change, one parameter differs from its calibrated value by one standard deviation: the
-    one that the calibration states or, if it states none, a typical one.
+    For each change, one parameter differs from its calibrated value by one standard deviation. This
+    is the standard deviation stated by the calibration or, if none is stated, a typical standard
+    deviation.
     """
     camera = view.camera
     rays = camera.rays(view.project(points, height))

@@ -184,7 +184,7 @@ class TableTracker:
         side = float(np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2).mean())
         limit = max(s.bloom, s.bloom_share * side)
         two = len(self.used) <= 2
-        # With only two markers, the motion of one of them is difficult to distinguish from a motion
+        # With only two markers, the motion of one marker is difficult to distinguish from a motion
         # of the camera. The motion of one marker changes the apparent size of the markers or the
         # error of the fit; a motion of the camera changes neither.
         self.apart = False
