@@ -2,9 +2,9 @@
 
 Two cells are measured. In the first cell, every node is a process, with rendered images and
 emulated boards. In the second cell, the same state machines, drivers and boards run in virtual
-time. There, software takes no time and messages take a few milliseconds, so that a tap lasts hardly
-longer than its mechanics require. A tap lasts from its command to the next command, or to the end
-of its goal. This time is divided into consecutive activities without gaps or overlaps. Two
+time. There, software takes no time and messages take a few milliseconds, so that a tap lasts only
+slightly longer than its mechanics require. A tap lasts from its command to the next command, or to
+the end of its goal. This time is divided into consecutive activities without gaps or overlaps. Two
 activities overlap with others and are listed separately: the slide, and charging while the arm
 moves. The planned duration of the arm's motion to the strike is also listed. The two cells make
 different taps, and the arm's motions differ in length. The planned duration of the motion to the

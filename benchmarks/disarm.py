@@ -1,9 +1,9 @@
 """Time from the loss of planner, arm or camera during charging to the discharge of the striker.
 
 The nodes of a simulated cell run as separate processes. The tapper's board is emulated in this
-process. The spring takes seconds to charge, so that a node can be lost meanwhile. A node is killed
-(``SIGKILL``) or stopped (``SIGSTOP``), or the camera's images stop while its node keeps running.
-The benchmark measures the actions of the board, not the reports of the nodes.
+process. Charging the spring takes several seconds, so that a node can be lost during this time. A
+node is killed (``SIGKILL``) or stopped (``SIGSTOP``), or the camera's images stop while its node
+keeps running. The benchmark measures the actions of the board, not the reports of the nodes.
 """
 
 from __future__ import annotations

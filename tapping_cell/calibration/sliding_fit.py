@@ -50,11 +50,11 @@ _SHARED = 4
 _LOWEST = (math.log(0.003), math.log(TORQUE_FACTORS[0]), -0.3, -0.3)
 _HIGHEST = (math.log(5.0), math.log(TORQUE_FACTORS[1]), 0.3, 0.3)
 # Prior standard deviation of the centre of pressure over the support's radius; only worn or tilted
-# objects exceed it.
+# objects exceed this value.
 _CENTRE_STD = 0.05
 _STARTS = (0.6, 1.5, 3.5)
-# Prior standard deviation of ln(friction of a trial / shared friction) if it is estimated from this
-# trial alone.
+# Prior standard deviation of ln(friction of a trial / shared friction) if the friction of a trial
+# is estimated from this trial alone.
 _FREE = 0.3
 _MIN_SCATTER = 1e-4
 _NEAR_ONE = 1e-3

@@ -307,8 +307,8 @@ class _Bracket(NamedTuple):
     """Brackets as flat arrays.
 
     ``low`` and ``high`` are incidences on opposite sides of the root, ``e_low`` and ``e_high`` the
-    errors of the slope there, and ``found`` states whether there is a root between them. ``error``
-    computes the error of the slope from incidences and their row indices.
+    errors of the slope at these incidences, and ``found`` states whether there is a root between
+    them. ``error`` computes the error of the slope from incidences and their row indices.
     """
 
     shape: tuple[int, ...]

@@ -321,8 +321,8 @@ def invert(
     reduces its error further. Broyden's method may cycle at a kink of ``forward``, for example
     between two cells of a table; such rows are solved by a fixed-point iteration, which is slow but
     reliable. ``forward`` may jump at the solution, for example where its number of integration
-    steps changes; then rows within ``limit`` are accepted. Raises :class:`MechanicsError` if a row
-    does not converge.
+    steps changes; in this case, rows within ``limit`` are accepted. Raises :class:`MechanicsError`
+    if a row does not converge.
     """
     goal = target / scale
     z = goal.copy()

@@ -68,7 +68,8 @@ class TapRow:
     at_rest_at: float = math.nan
     learnt: Learnt = field(default_factory=Learnt)
     reason: str = ""
-    """Reason why the tap was not aimed straight at the goal; empty if it was, or if unknown."""
+    """Reason why the tap was not aimed straight at the goal; empty if it was aimed straight at the
+    goal, or if the reason is unknown."""
     predicted_covariance: Covariance | None = None
     """Covariance of ``predicted`` in x, y, theta (m, rad); None if unknown."""
     tapper: str = ""

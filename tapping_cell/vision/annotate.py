@@ -39,10 +39,10 @@ def annotate(
     """Return a colour image (BGR, uint8, height x width x 3) of one frame and its observation.
 
     ``outline`` (N, 2) is the object's outline in its own frame, in m, and ``height`` (m) the height
-    of its top. ``goal`` is the object's goal pose in table. ``references`` are drawn at their
+    of its top. ``goal`` is the object's goal pose in ``table``. ``references`` are drawn at their
     positions in the table file: in blue if they were used in this frame, otherwise in red.
-    ``unknown`` are the outlines (N, 2) in table of the objects without an object file, drawn in
-    red. Text is in mm and degrees.
+    ``unknown`` are the outlines (N, 2) in ``table`` of the objects without an object file; they are
+    drawn in red. Text is in mm and degrees.
     """
     picture = np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR), dtype=np.uint8)
     points = np.asarray(outline, dtype=float)

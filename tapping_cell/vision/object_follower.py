@@ -60,7 +60,7 @@ class Frame:
     """Edges of the marker that :meth:`ObjectFollower.aim` returned; None if this marker was not
     found."""
     notice: str
-    """Warning about the table, although the pose is valid; empty if there is none."""
+    """Warning about the table for a frame with a valid pose; empty if there is none."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -259,8 +259,8 @@ class PoseTracker:
         self._last_search = stamp
         self._search_next = False
         # The thorough search and its diagnosis take the time of several frames. Both are applied to
-        # the first frame if needed, because it may be the only frame, but to later frames only
-        # occasionally.
+        # the first frame if needed, because this frame may be the only one. They are applied to
+        # later frames only occasionally.
         since = stamp - self._last_thorough
         slow = self._object.lost(stamp) and since >= self.settings.audit_period
         of_table = self._references.dictionary

@@ -14,8 +14,8 @@ from tapping_cell.vision.markers.edges import MarkerEdges
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseFit:
-    """Pose (x, y, theta) of the *marker* in table, its covariance (3, 3) from pixel noise, and the
-    apparent side of the marker (m)."""
+    """Pose (x, y, theta) of the *marker* in ``table``, its covariance (3, 3) from pixel noise, and
+    the apparent side of the marker (m)."""
 
     pose: Array
     covariance: Array
@@ -147,7 +147,7 @@ def _square_pose(seen: Array) -> Array:
 
 
 def object_pose(marker_pose: Array, covariance: Array, marker: ObjectMarker) -> tuple[Array, Array]:
-    """Pose and covariance of the object in table from those of its marker."""
+    """Compute pose and covariance of the object in ``table`` from those of its marker."""
     to_object = se2.inverse(marker.offset)
     pose = se2.compose(marker_pose, to_object)
     pose[2] = se2.wrap_angle(pose[2])
@@ -157,5 +157,5 @@ def object_pose(marker_pose: Array, covariance: Array, marker: ObjectMarker) -> 
 
 
 def marker_pose(pose: Array, marker: ObjectMarker) -> Array:
-    """Pose of the marker in table when the object is at ``pose``."""
+    """Compute the pose of the marker in ``table`` if the object is at ``pose``."""
     return se2.compose(pose, marker.offset)

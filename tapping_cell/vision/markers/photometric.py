@@ -67,9 +67,9 @@ class Template:
 class Alignment:
     """Result of an alignment.
 
-    ``pose`` (3,) of the marker is in table, and its ``covariance`` (3, 3) is due to pixel noise.
-    ``unexplained`` is the root mean square residual at edges of the pattern, in grey levels, and
-    ``blur`` the best-fitting sigma in m.
+    ``pose`` (3,) of the marker is in ``table``, and its ``covariance`` (3, 3) is due to pixel
+    noise. ``unexplained`` is the root mean square residual at edges of the pattern, in grey levels,
+    and ``blur`` the best-fitting sigma in m.
     """
 
     pose: Array
@@ -277,8 +277,9 @@ def _together(
 def _pixels(
     image: Image, view: View, marker: ObjectMarker, start: Array
 ) -> tuple[Array, Array, NDArray[np.intp]] | None:
-    """Return the projections of the marker's pixels to its plane (x and y, m in table), and the
-    flat indices of these pixels; None if the marker is partly outside the image or too small."""
+    """Return the projections of the marker's pixels to its plane (x and y in ``table``, in m), and
+    the flat indices of these pixels; None if the marker is partly outside the image or too
+    small."""
     modules = marker_pattern(marker.dictionary, marker.id).shape[0]
     reach = marker.size * (0.5 + _MARGIN / modules)
     cos, sin = math.cos(start[2]), math.sin(start[2])

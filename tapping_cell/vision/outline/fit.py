@@ -76,7 +76,7 @@ stop."""
 class OutlineFit:
     """Result of an outline fit.
 
-    ``pose`` (3,) is the object's pose in table (m, m, rad) and ``covariance`` (3, 3) is due to
+    ``pose`` (3,) is the object's pose in ``table`` (m, m, rad) and ``covariance`` (3, 3) is due to
     pixel noise. ``size`` is the apparent size (1: as configured). ``seen`` is the fraction of the
     rim that agrees with the model, and ``least_side`` the lowest such fraction among a polygon's
     long sides. ``contrast`` and ``dot_contrast`` are the contrasts of the rim and of the dot, in
@@ -121,7 +121,7 @@ class _Design:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Linearisation:
-    """State and linearised model of a fit before its last step. They are used again to measure a
+    """State and linearised model of a fit before its last step. Both are used again to measure a
     stationary object."""
 
     scene: _Scene

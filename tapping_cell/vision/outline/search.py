@@ -109,7 +109,7 @@ def find_outlines(
 ) -> tuple[list[OutlineFit], list[Refused]]:
     """Find all outlines in the image; return also the rejected candidates.
 
-    ``known`` (M, 4, 2) are the corners in table of the reference markers' black squares.
+    ``known`` (M, 4, 2) are the corners, in ``table``, of the reference markers' black squares.
     """
     found: list[OutlineFit] = []
     refused: list[Refused] = []

@@ -1,13 +1,13 @@
 """Model the residuals of the reference markers as errors of the lens and of the print.
 
-After the camera's pose is fitted, the references still deviate from their positions in the map.
-Part of this is due to an inaccurate lens calibration, part is individual to each marker (printing,
-gluing), and part is noise. All three are modelled as Gaussian. The amplitudes of the errors of lens
-and markers are unknown. Conditioned on the references, the model gives the expected error of a pose
-measured at any place and height above the table, and the remaining uncertainty. This is kriging
-with the camera's pose as trend (Rasmussen and Williams 2006, chapter 2). The results for a grid of
-amplitudes are averaged with the restricted likelihood of the amplitudes as weight, so that the
-ambiguity left by few references increases the covariance.
+After the camera's pose is fitted, the references still deviate from their positions in the map. One
+part of these deviations is due to an inaccurate lens calibration, one part is individual to each
+marker (printing, gluing), and one part is noise. All three parts are modelled as Gaussian. The
+amplitudes of the errors of lens and markers are unknown. Conditioned on the references, the model
+gives the expected error of a pose measured at any place and height above the table, and the
+remaining uncertainty. This is kriging with the camera's pose as trend (Rasmussen and Williams 2006,
+chapter 2). The results for a grid of amplitudes are averaged with the restricted likelihood of the
+amplitudes as weight, so that the ambiguity left by few references increases the covariance.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ _LENS = 0.7, 0.7, 0.0015, 0.004, 0.00012, 0.00012
 """Typical standard deviations of the lens parameters, as reported by OpenCV's calibration for some
 twenty images of a board. A common amplitude of all lens errors is estimated from the references.
 
-``_LENS`` contains those of cx, cy, k1, k2, p1 and p2. Deviations of cx, cy and the focal lengths
-are in pixels. ``_FOCAL`` is for the common error of the two focal lengths, and ``_ASPECT`` for half
-the difference of their errors. If a calibration states deviations (``CameraModel.deviations``),
-these are used instead.
+``_LENS`` contains the standard deviations of cx, cy, k1, k2, p1 and p2. Deviations of cx, cy and
+the focal lengths are in pixels. ``_FOCAL`` is for the common error of the two focal lengths, and
+``_ASPECT`` for half the difference of their errors. If a calibration states deviations
+(``CameraModel.deviations``), these are used instead.
 """
 _STATED_ASPECT = 0.25
 """Standard deviation of half the difference of the two focal lengths' errors, as a fraction of the
@@ -83,7 +83,8 @@ class SystematicError:
 
         ``response`` (3, 6) is the derivative of this pose with respect to the camera's pose, and
         ``lens`` (3, 8) its derivative with respect to the lens parameters (:func:`lens_shifts`).
-        The covariance includes the noise of the reference markers, but not of the object's marker.
+        The covariance includes the noise of the reference markers, but not the noise of the
+        object's marker.
         """
         own, cross = lens @ lens.T, lens @ self.lens.T
         pulled = cross @ self.gain.T @ response.T
