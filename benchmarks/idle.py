@@ -2,8 +2,9 @@
 
 The cell is the complete simulated graph with recorder and operator's page and a stationary object.
 The minimal processes show the cost of the messages alone. One process publishes images of the size
-and at the rate of the cell's images, and another one subscribes to these images. Six idle nodes
-publish to and subscribe to two topics at 10 Hz each.
+and at the rate of the cell's images, and another one subscribes to these images. In addition, there
+are six idle nodes. Each of them publishes messages on two topics at 10 Hz and subscribes to the two
+topics of another idle node.
 
 The cell and the minimal processes run at the same time, in two ROS domains, and are measured in the
 same short periods. Simultaneous measurement is necessary because the load of a machine varies, and

@@ -116,7 +116,7 @@ def cell(
 ) -> Iterator[Computer]:
     """Run the simulated cell on three computers and yield the operator's computer.
 
-    ``clocks``: offset of each computer's clock, s, positive if it is ahead.
+    ``clocks``: offset of each computer's clock in s, positive if the clock is ahead.
     """
     environment = {**own, "HOME": str(folder), "OPENBLAS_NUM_THREADS": "1"}
     shifts = CLOCKS_S if clocks is None else clocks

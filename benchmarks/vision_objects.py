@@ -60,8 +60,8 @@ def measure(count: int) -> dict[str, Any]:
 
 
 def _false_objects(frames: int) -> dict[str, int]:
-    """Return the number of images of the arm over an empty table, and in how many of them an object
-    was found."""
+    """Return the number of images of the arm over an empty table, and the number of those images in
+    which an object was found."""
     cell, full = Cell.load(), load_cell()
     arm, geometry, table = full.arm, full.arm.geometry(), full.file.table
     false = 0

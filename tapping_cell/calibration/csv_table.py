@@ -120,8 +120,8 @@ def read_csv(
     """Read the rows of a CSV file in which every cell is a number within its range.
 
     Raises:
-        RecordError: the file, its header, a column or valid rows are missing, a column is repeated,
-            or many values indicate a wrong unit.
+        RecordError: the file, its header or a column is missing, there is no valid row, a column is
+        repeated, or many values indicate a wrong unit.
     """
     path = Path(path)
     lines = _lines(path)

@@ -39,7 +39,7 @@ constant error of the arm's angle cancel over the trials.
 TRIALS = 10
 
 NEAR_MIDDLE = 0.030
-"""Distance from the table's middle, m, within which an object is tapped outwards."""
+"""Distance from the table's middle, in m, within which an object is tapped outwards."""
 FAN = math.radians(137.507764)
 """Golden angle: steps of this angle give evenly spread directions for any number of trials."""
 ATTEMPTS = 2

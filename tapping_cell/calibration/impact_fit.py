@@ -227,8 +227,8 @@ def _fit(model: ImpactModel, free: tuple[str, ...]) -> _Fit:
     """Fit by weighted least squares, re-estimating the scatter after each pass.
 
     The weights are fixed during a pass. If the weights changed with the parameters, the fit could
-    reduce the weighted residuals by predicting larger values, because these have a larger assumed
-    scatter.
+    reduce the weighted residuals by predicting larger values, because larger values have a larger
+    assumed scatter.
     """
     low = np.array([_LOW[name] for name in free])
     high = np.array([_HIGH[name] for name in free])

@@ -1,10 +1,10 @@
 """Fit of friction, torque factor and scatter of an object to the taps of ordinary goals.
 
 A tap planned with the mechanics of an object file launches the object with a known velocity and
-spin. The measured displacement then determines friction and torque factor. Both are fitted to all
-taps jointly by robust least squares. Restitution and contact friction are kept from the file. The
-fitted friction compensates for errors of these two values. It may therefore differ from the true
-friction, but it predicts the taps of this cell accurately.
+spin. The measured displacement then determines friction and torque factor. These two values are
+fitted to all taps jointly by robust least squares. Restitution and contact friction are kept from
+the file. The fitted friction compensates for errors of these two values. It may therefore differ
+from the true friction, but it predicts the taps of this cell accurately.
 """
 
 from __future__ import annotations

@@ -69,7 +69,7 @@ def paper_size(name: str) -> tuple[float, float]:
     """Return width and height in m of a paper such as ``a4``, or of ``900x600`` in mm.
 
     Raises:
-        SheetError: the name is unknown, or the size is outside 100 to 5000 mm.
+        SheetError: the name is unknown, or a side is not between 100 and 5000 mm long.
     """
     if name.lower() in PAPERS:
         return PAPERS[name.lower()]

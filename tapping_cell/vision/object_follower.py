@@ -157,7 +157,8 @@ class ObjectFollower(ABC):
         return np.asarray(pose + velocity * min(stamp - then, _UNSEEN))
 
     def step(self, stamp: float) -> Array:
-        """Predict the displacement (2,) of the object from its last pose to this time, in m."""
+        """Predict the object's displacement (2,), in m, from its last pose until the time ``stamp``
+        (s)."""
         if self._last is None:
             return np.zeros(2)
         return np.asarray(self._last[2][:2] * min(stamp - self._last[0], _UNSEEN))

@@ -1,11 +1,12 @@
 """Check that the object's marker appears as a square with the size and height that the files state.
 
 A marker that is lifted, tilted or of another size than stated appears as a square of another size,
-or not as a square. A single image does not show which of these is the cause. However, the resulting
-error of the pose can be estimated from the deviation of the shape. If a marker at the horizontal
-distance r from the camera is higher than assumed by a fraction s of the camera's height, it appears
-larger by s and further away by s r. A marker tilted by an angle t appears rotated by up to
-t r / (2 h), where h is the camera's height, and sheared or elongated by the same amount.
+or not as a square. A single image does not show which of these three deviations is the cause.
+However, the resulting error of the pose can be estimated from the deviation of the shape. If a
+marker at the horizontal distance r from the camera is higher than assumed by a fraction s of the
+camera's height, it appears larger by s and further away by s r. A marker tilted by an angle t
+appears rotated by up to t r / (2 h), where h is the camera's height, and sheared or elongated by
+the same amount.
 """
 
 from __future__ import annotations

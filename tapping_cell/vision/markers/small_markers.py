@@ -206,7 +206,7 @@ def _model(seen: Array, matrix: Array, blur: float, black: Array) -> tuple[Array
 def _fields(places: Array) -> tuple[Array, Array]:
     """Return the derivatives (N, 8) of the coordinate u and the derivatives (N, 8) of the
     coordinate v of points (N, 2) on the marker with respect to the eight parameters of a small
-    homography. The matrix of this homography is 1 + (a b c; d e f; g h 0)."""
+    homography. The matrix of this homography is the identity plus (a b c; d e f; g h 0)."""
     u, v = places.T
     one, none = np.ones_like(u), np.zeros_like(u)
     return (
