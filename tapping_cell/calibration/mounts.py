@@ -2,12 +2,12 @@
 
 A tap gives three numbers: the object's direction of travel, its rotation per distance and its
 distance. The direction and the rotation depend on the offset and angle of the tapper's line, and
-the distance depends on the striker's speed. Three unknowns per tapper (offset of the line to the
-left in m, angle of the line in rad, and logarithm of the speed factor) are fitted to all of its
-taps by least squares. The weights come from the tap's scatter and the camera's noise, and the
-soft-l1 loss reduces the effect of outliers. Taps at one position of the object determine the line's
-offset at this position. To determine the line's angle, taps at several positions along the line are
-needed.
+the distance depends on the striker's speed. For each tapper, three unknowns (offset of the line to
+the left in m, angle of the line in rad, and logarithm of the speed factor) are fitted to all taps
+of this tapper by least squares. The weights come from the tap's scatter and the camera's noise, and
+the soft-l1 loss reduces the effect of outliers. Taps at one position of the object determine the
+line's offset at this position. To determine the line's angle, taps at several positions along the
+line are needed.
 """
 
 from __future__ import annotations

@@ -29,7 +29,7 @@ from tapping_cell.vision.markers.detection import (
 from tapping_cell.vision.markers.edges import MarkerEdges, refine, straight_corners
 
 _LENS_NOISE = 0.03
-"""Standard deviation, in pixels, of a corner's position error from residual lens distortion."""
+"""Standard deviation, in pixels, of a corner's position error due to residual lens distortion."""
 _STRAY_RATIO, _STRAY_PIXELS = 5.0, 0.6
 """A marker in an image is an outlier if its error exceeds both this multiple of the median error
 and this number of pixels."""

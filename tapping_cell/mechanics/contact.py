@@ -14,9 +14,9 @@ from tapping_cell.mechanics.planar import Array, cross, to_left
 class Contact(NamedTuple):
     """The first contact.
 
-    ``travel`` is the ball's travel until the contact in m, negative if the ball starts inside the
-    body. ``point`` (..., 2) is the contact point on the body in m, and ``normal`` (..., 2) points
-    into the body. If ``missed``, the other fields are arbitrary finite numbers.
+    ``travel`` is the ball's travel, in m, until the contact; it is negative if the ball starts
+    inside the body. ``point`` (..., 2) is the contact point on the body in m, and ``normal`` (...,
+    2) points into the body. If ``missed``, the other fields are arbitrary finite numbers.
     """
 
     missed: NDArray[np.bool_]

@@ -251,8 +251,9 @@ class Impact:
         straight = np.zeros(slope.shape)
         e_straight = error(straight, _ALL)
         # For a sticking contact, the slope is linear in the tangent of the incidence. The other end
-        # of the bracket has 1.5 times the tangent of this linear estimate of the root. The largest
-        # incidence replaces this end if it is smaller or if the root is not between the ends.
+        # of the bracket has 1.5 times the tangent of this linear estimate of the root.
+        # ``LARGEST_INCIDENCE`` replaces this end if the end is beyond it or if the root is not
+        # between the two ends.
         b1, b2, _ = self.inverse_inertias(straight, c)
         other = np.arctan(-1.5 * (1 + self.restitution) * b1 / b2 * e_straight)
         e_other = error(other, _ALL)

@@ -1,4 +1,4 @@
-"""Sliding of a body with isotropic friction: the table in SI units."""
+"""Sliding of a body with isotropic friction, looked up in the table and converted to SI units."""
 
 from __future__ import annotations
 

@@ -21,7 +21,7 @@ from tapping_cell.mechanics.planar import Array
 from tapping_cell.mechanics.sliding import Sliding
 from tapping_cell.mechanics.tap import Tap
 
-# Jacobian and error vector of section 5.1, mm and degrees.
+# Jacobian and error vector of section 5.1, in mm and degrees.
 PAPER_JACOBIAN = np.array(
     [[-0.0689, 0.135, 0.126], [-4.7e-6, -0.000026, 0.176], [-0.0088, 0.0251, 0.0234]]
 )

@@ -284,7 +284,8 @@ def _cubic(rows: Array, index: NDArray[np.intp], t: Array) -> Array:
 
 
 def _cubic_and_slope(rows: Array, index: NDArray[np.intp], t: Array) -> tuple[Array, Array]:
-    """Compute the value and the derivative with respect to p of one cubic piece."""
+    """Compute, for each element, the value of one cubic piece and its derivative with respect to
+    p."""
     a, b, c, d = (row[index] for row in rows)
     return a + t * (b + t * (c + t * d)), PIECES * (b + t * (2 * c + t * (3 * d)))
 

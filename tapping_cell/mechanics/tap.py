@@ -74,11 +74,11 @@ class TapResult(NamedTuple):
     """Result of a tap; every field has the shape of the poses.
 
     ``missed`` is True if the striker does not touch the object (then nothing moves). ``travel`` is
-    the ball's travel until the contact in m, negative if the strike pose overlaps the object. The
-    contact point ``point`` (..., 2) and the normal ``normal`` (..., 2) into the object are in table
-    axes. ``incidence`` is in rad, ``normal_impulse`` and ``tangential_impulse`` in N s. ``twist``
-    (..., 3) is (vx, vy, omega) just after the impact and ``displacement`` (..., 3) is (dx, dy,
-    dtheta), both in table axes.
+    the ball's travel, in m, until the contact; it is negative if the strike pose overlaps the
+    object. The contact point ``point`` (..., 2) and the normal ``normal`` (..., 2) into the object
+    are in table axes. ``incidence`` is in rad, ``normal_impulse`` and ``tangential_impulse`` in N
+    s. ``twist`` (..., 3) is (vx, vy, omega) just after the impact and ``displacement`` (..., 3) is
+    (dx, dy, dtheta), both in table axes.
     """
 
     missed: NDArray[np.bool_]

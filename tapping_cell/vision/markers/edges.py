@@ -53,9 +53,9 @@ class MarkerEdges(NamedTuple):
     ``points`` (M, 4, BINS, 2) are in pixels, ``weights`` (M, 4, BINS) are the numbers of rows that
     they average, and ``corners`` (M, 4, 2) are the intersections of the sides, in pixels.
     ``spread`` (M,) is the standard deviation of the edge position measured in one row,
-    perpendicular to the side, in pixels. For the whole side, divide it by the square root of the
-    number of rows. ``black`` and ``white`` (M,) are grey levels. ``good`` (M,) marks markers with
-    four complete sides whose blur is not excessive.
+    perpendicular to the side, in pixels. For the whole side, divide this value by the square root
+    of the number of rows. ``black`` and ``white`` (M,) are grey levels. ``good`` (M,) marks markers
+    with four complete sides whose blur is not excessive.
 
     ``pull`` (M,) states, for the worst side of each marker, how far the measured side moves if its
     window moves by one pixel. It is 0 for an ideal edge. If it is 1, the measurement contains no

@@ -83,9 +83,9 @@ class Alignment:
 class Linearisation:
     """An alignment linearised at ``pose`` (3,), for frames in which the marker has not moved.
 
-    It holds the pixels on the marker (flat indices), the design matrix (N, 14) and its normal
-    matrix (14, 14). ``light`` (3,) is the contrast and its gradients. ``together`` (3, 3) corrects
-    the covariance for correlated noise, see :func:`_together`.
+    The linearisation holds the pixels on the marker (flat indices), the design matrix (N, 14) and
+    its normal matrix (14, 14). ``light`` (3,) is the contrast and its gradients. ``together`` (3,
+    3) corrects the covariance for correlated noise, see :func:`_together`.
     """
 
     pixels: NDArray[np.intp]

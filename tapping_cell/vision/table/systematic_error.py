@@ -41,7 +41,7 @@ the true value is between two steps."""
 _TURNS = (0.1, 0.3, 1.0)
 """Assumed ratios of two displacements of a marker's corners: the displacement due to the marker's
 rotation error, divided by the displacement due to its position error. The lowest ratio is typical
-of markers printed on one sheet, the highest of markers glued individually."""
+of markers printed on one sheet; the highest ratio is typical of markers glued individually."""
 _PRIOR = (0.7, 1.0), (4e-5, 1.3)
 """Prior distributions of two amplitudes, of the lens errors and of a marker's misplacement: the
 typical value of the amplitude, and the standard deviation of its logarithm. The priors matter if
