@@ -1,8 +1,8 @@
 """Benchmarks of the speed and accuracy of each package, compared with other software in the same
 run.
 
-They need the source tree and are not installed. ``test/support`` contains the code shared with the
-tests: random ground truth and simulated experiments.
+The benchmarks need the source tree and are not installed. ``test/support`` contains the code shared
+with the tests: random ground truth and simulated experiments.
 """
 
 import sys

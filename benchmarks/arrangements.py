@@ -43,7 +43,7 @@ OPTIONS = ["--camera-noise", "0.1", "0.1"]
 GRID_GAPS_MM = (40, 30, 20)
 
 DRAWN = ("history", "goals", "outlines", "table")
-"""Fields of a trial that are only needed for drawings and are not stored."""
+"""Fields of a trial that are needed only for drawings and are not stored."""
 
 Group = tuple[str, ArrangementTask, list[str], float]
 """A group of trials: its name, its task, additional options for the shapes, and its share. The

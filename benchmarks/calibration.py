@@ -2,10 +2,10 @@
 
 Each experiment chooses the true values at random: friction 0.10 to 0.30, torque factor 1 to 4,
 restitution 0.65 to 0.95, contact friction 0.14 to 0.28, and a striker up to 5 % faster or slower
-than commanded. The experiment makes 4 runs of 10 taps in the simulated world, which integrates each
-tap in time, and then fits the parameters. The scatter is 5 % in speed, 15 % in spin and 1 degree in
-direction; the 30 Hz camera has pose errors of 0.03 mm and 0.05 degrees. In every fourth experiment,
-the fit also predicts the results of 40 new taps.
+than commanded. The experiment makes 4 runs of 10 taps in the simulated world and then fits the
+parameters. The simulated world integrates each tap in time. The scatter is 5 % in speed, 15 % in
+spin and 1 degree in direction; the 30 Hz camera has pose errors of 0.03 mm and 0.05 degrees. In
+every fourth experiment, the fit also predicts the results of 40 new taps.
 """
 
 from __future__ import annotations

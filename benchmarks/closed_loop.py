@@ -81,7 +81,7 @@ def fitted_file(
 
 def _mean_taps(assumed: ObjectFile, true: ObjectFile, trials: int) -> float:
     """Return the mean number of taps over trials of the paper's task; an unfinished trial counts as
-    the maximum."""
+    the maximum number of taps."""
     striker = _STRIKER.striker()
     scatter = Scatter(0.05, 0.15, math.radians(1.0))
     settings = replace(PlannerSettings.for_tap(assumed.tap(striker)), scatter=scatter)

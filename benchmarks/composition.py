@@ -3,7 +3,7 @@ one process.
 
 Before each callback, the executor rebuilds its wait set from all entities of all nodes that it
 spins. Nodes in one process share the executor, so the entities of each node slow down the callbacks
-of the others. No messages are sent: a guard condition triggers the measured callback.
+of the other nodes. No messages are sent: a guard condition triggers the measured callback.
 """
 
 from __future__ import annotations

@@ -2,9 +2,9 @@
 
 Two cells are measured. In the first cell, every node is a process, with rendered images and
 emulated boards. In the second cell, the same state machines, drivers and boards run in virtual
-time. There, software takes no time and messages take a few milliseconds, so that a tap lasts hardly
-longer than its mechanics require. A tap lasts from its command to the next command, or to the end
-of its goal. This time is divided into consecutive activities without gaps or overlaps. Two
+time. There, software takes no time and messages take a few milliseconds, so that a tap lasts only
+slightly longer than its mechanics require. A tap lasts from its command to the next command, or to
+the end of its goal. This time is divided into consecutive activities without gaps or overlaps. Two
 activities overlap with others and are listed separately: the slide, and charging while the arm
 moves. The planned duration of the arm's motion to the strike is also listed. The two cells make
 different taps, and the arm's motions differ in length. The planned duration of the motion to the
@@ -56,7 +56,7 @@ TOPICS = {
 
 @dataclass(slots=True)
 class Tap:
-    """Times of the events during one tap, s."""
+    """Times of the events during one tap, in s."""
 
     commanded: float
     planned: float = math.nan
@@ -121,7 +121,7 @@ class Stopwatch:
             getattr(self, f"_{topic}")(self._tap, message, stamp)
 
     def _planned(self, strike: Pose) -> float:
-        """Return the planned duration of the arm's motion to a strike, s; NaN without an arm."""
+        """Return the planned duration of the arm's motion to a strike, in s; NaN without an arm."""
         if self._times is None or self._tip is None:
             return math.nan
         return self._times.to_strikes(self._tip, np.array([strike])).item()
@@ -190,7 +190,7 @@ def _seconds(stamp: Any) -> float:
 
 
 def measure(count: int = DEFAULT_COUNT) -> dict[str, Any]:
-    """Return the mean duration of every activity over ``count`` goals in each cell, s."""
+    """Return the mean duration of every activity over ``count`` goals in each cell, in s."""
     return {
         "mechanics": _summary(in_virtual_time(count)),
         "graph": _summary(in_graph(count)),
@@ -247,7 +247,7 @@ def _without_planned_motion(cell: dict[str, Any]) -> float:
 
 
 class QuietTrial(Trial):
-    """A cell in virtual time without faults, whose computers share one clock."""
+    """A cell in virtual time and without faults. Its computers share one clock."""
 
     def __init__(self, seed: int, on_message: Callable[[str, Any], None]) -> None:
         self._receive = on_message

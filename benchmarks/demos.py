@@ -52,8 +52,8 @@ def measure(count: int = DEFAULT_COUNT) -> dict[str, Any]:
         old = _demos(configured, configured.object, truth, count)
         fitted = replace(configured, object=fitted_file(configured.object, striker, truth, seed))
         new = _demos(fitted, configured.object, truth, count)
-        # Simulate a cell after `calibrate tapper`, which corrects the tapper's speed curve, so that
-        # the true speed of the striker equals the commanded speed.
+        # Simulate a cell after `calibrate tapper`. This command corrects the tapper's speed curve.
+        # The true speed of the striker therefore equals the commanded speed.
         nominal = replace(truth, impact=replace(truth.impact, striker_speed_factor=1.0))
         both = _demos(fitted, configured.object, nominal, count)
         saved = np.array(old) - np.array(new)

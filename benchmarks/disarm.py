@@ -1,9 +1,9 @@
 """Time from the loss of planner, arm or camera during charging to the discharge of the striker.
 
 The nodes of a simulated cell run as separate processes. The tapper's board is emulated in this
-process. The spring takes seconds to charge, so that a node can be lost meanwhile. A node is killed
-(``SIGKILL``) or stopped (``SIGSTOP``), or the camera's images stop while its node keeps running.
-The benchmark measures the actions of the board, not the reports of the nodes.
+process. Charging the spring takes several seconds, so that a node can be lost during this time. A
+node is killed (``SIGKILL``) or stopped (``SIGSTOP``), or the camera's images stop while its node
+keeps running. The benchmark measures the actions of the board, not the reports of the nodes.
 """
 
 from __future__ import annotations
@@ -39,9 +39,11 @@ DEFAULT_COUNT = 10
 """Number of simulated losses of each kind."""
 START, GOAL = Pose(-0.05, 0.02, 0.0), Pose(-0.02, 0.01, 0.2)
 SLOW_SPRING = SpringMechanism(step_rate=300.0)
-"""Spring that takes several seconds to charge, but less than the driver's timeout for charging."""
+"""Spring whose charging takes several seconds, but less time than the driver's timeout for
+charging."""
 LATEST_LOSS_S = 1.0
-"""The node or the images are lost at a random time, at most this long after charging begins, s."""
+"""Maximum time, in s, from the beginning of charging to the random time at which the node or the
+images are lost."""
 TIMEOUT_S = 90.0
 OVER = (PlanState.IDLE, PlanState.REACHED, PlanState.FAILED, PlanState.CANCELED)
 CAMERA = "camera_pose"
@@ -152,7 +154,7 @@ class ChargingCell:
 
 
 def measure(count: int) -> dict[str, Any]:
-    """Return, for each kind of loss, the times until the striker is discharged, s."""
+    """Return, for each kind of loss, the times until the striker is discharged, in s."""
     domain = own_domain()
     domain.use()
     chance = random.Random(1)

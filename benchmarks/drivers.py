@@ -1,12 +1,12 @@
-"""Drivers of arm and tapper: overhead per tap, time until a stop is on the wire, and time to
-reconnect.
+"""Drivers of arm and tapper: overhead per tap, time until the bytes of a stop are on the serial
+line, and time to reconnect.
 
 The overhead is measured in the emulated devices' own time, so that it does not depend on the load
-of the computer. Replies take as long as on a real line at 115200 baud plus 2 ms for the adapter.
+of the computer. Replies take the time of a real line at 115200 baud, plus 2 ms for the adapter.
 Commands arrive immediately, as over a native USB port. The bytes sent to the arm are counted,
-because each of them would take additional time on a slower line. Stops and reconnections are
-measured in real time over pseudo-terminals. For comparison, the times of a plain ``os.write``
-through the same terminal and of a plain opening of the port are measured.
+because each byte would take additional time on a slower line. Stops and reconnections are measured
+in real time over pseudo-terminals. For comparison, the times of a plain ``os.write`` through the
+same terminal and of a plain opening of the port are measured.
 """
 
 from __future__ import annotations
@@ -139,8 +139,8 @@ def _allow(cell: TrialCell, release_by: float) -> bool:
 
 
 def stop_to_wire(stops: int) -> dict[str, float]:
-    """Return the times in s from the call of ``stop`` until its bytes are received at the other
-    end. Meanwhile another thread writes."""
+    """Return the times in s from the call of ``stop`` until its bytes are received at the other end
+    of the line. During this time, another thread writes."""
     master, slave = os.openpty()
     tty.setraw(slave)
     transport = SerialTransport(os.ttyname(slave))
@@ -215,7 +215,7 @@ def reconnect(times: int) -> dict[str, Any]:
 
 def _return_of(terminal: PseudoTerminal, driver: ArmDriver | TapperDriver) -> float:
     """Disconnect the cable, reconnect it while the driver waits, and return the time from the
-    reconnection until the device is identified, s."""
+    reconnection until the device is identified, in s."""
     terminal.hang_up()
     driver.close()
     back = threading.Timer(0.2, terminal.plug_in)

@@ -1,4 +1,5 @@
-"""Latency from the topic ``emergency_stop`` to the stop bytes on the wire, with the real nodes.
+"""Latency from a message on the topic ``emergency_stop`` to the stop bytes on the serial line, with
+the real nodes.
 
 Each driver node runs as a separate process with an emulated board in this process. The latency
 includes publisher, middleware, executor, driver, terminal and the reading thread in this process.
@@ -52,7 +53,7 @@ class StopTimer:
 
 
 def measure() -> dict[str, Any]:
-    """Return the latencies for each node and for a plain byte through the terminal, s."""
+    """Return the latencies for each node and for a plain byte through the terminal, in s."""
     domain = own_domain()
     domain.use()
     tapper = TapperEmulator(now=time.monotonic())
@@ -139,7 +140,8 @@ def _stops(
 
 
 def _cleared(clear: Client, wait: Callable[..., None]) -> bool:
-    """Request that the stop is cleared. The node refuses this until it has received the release."""
+    """Request that the stop is cleared. The node refuses the request until it has received the
+    release of the emergency stop."""
     answer = clear.call_async(Trigger.Request())
     wait(answer.done)
     return bool(answer.result().success)

@@ -1,10 +1,10 @@
 """Time per goal and per tap of the positioning cell with fixed tappers, in the running graph.
 
 Goals are at random places of the working disc, or at its centre, and rotated by up to 10, 30 and 90
-degrees relative to the object's current pose. A goal lasts from its acceptance to its end. This
-includes the time before the first tap, in which the planner waits for an image and computes the
-first plan. A tap lasts from its command to the next command: the shot, the object's slide, the
-images of the object at rest, and the decision.
+degrees relative to the object's current pose. A goal lasts from its acceptance to its end. The time
+before the first tap, in which the planner waits for an image and computes the first plan, is
+included. A tap lasts from its command to the next command: the shot, the object's slide, the images
+of the object at rest, and the decision.
 """
 
 from __future__ import annotations

@@ -3,9 +3,9 @@
 The observations have noise of 0.05 mm and 0.05 degrees. Three groups of trials are run:
 
 - goals anywhere in the working disc with any rotation of the object, ``count`` trials;
-- goals at its centre with rotations of up to 30 degrees, a tenth of ``count`` trials;
-- the same goals with mounts that differ from the cell file by 0.5 mm and 0.5 degrees (standard
-  deviations), which are learnt while tapping, a tenth of ``count`` trials.
+- goals at the centre of the disc with rotations of up to 30 degrees, a tenth of ``count`` trials;
+- the same goals, also a tenth of ``count`` trials, with mounts that differ from the cell file by
+  0.5 mm and 0.5 degrees (standard deviations); these differences are learnt while tapping.
 
 Each part of 250 trials is stored in the cache folder when it is finished, so that the same command
 continues after an interruption. If the source code of the package mechanics or planning changes,

@@ -2,8 +2,9 @@
 
 The cell is the complete simulated graph with recorder and operator's page and a stationary object.
 The minimal processes show the cost of the messages alone. One process publishes images of the size
-and at the rate of the cell's images, and another one subscribes to these images. Six idle nodes
-publish to and subscribe to two topics at 10 Hz each.
+and at the rate of the cell's images, and another one subscribes to these images. In addition, there
+are six idle nodes. Each of them publishes messages on two topics at 10 Hz and subscribes to the two
+topics of another idle node.
 
 The cell and the minimal processes run at the same time, in two ROS domains, and are measured in the
 same short periods. Simultaneous measurement is necessary because the load of a machine varies, and
@@ -32,11 +33,11 @@ from tapping_cell.nodes.camera.images import PICTURES, to_message
 from tapping_cell.nodes.cell_node import choose_transport
 
 DEFAULT_COUNT = 20
-"""Duration of the measurement, s."""
+"""Duration of the measurement, in s."""
 TURN_S = 2.0
 SETTLE_S = 5.0
-"""Waiting time before the measurement, s. It begins when the object is stationary and the minimal
-processes have been started."""
+"""Waiting time before the measurement, in s. It begins when the object is stationary and the
+minimal processes have been started."""
 RATE_HZ = 30.0
 SIZE = (1024, 1280)
 IDLE_NODES = 6

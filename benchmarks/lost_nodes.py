@@ -1,12 +1,12 @@
 """Safety while nodes are frozen, killed, restarted and stopped during taps, in simulated time.
 
 After every event the invariants of ``tapping_cell.verification`` are checked against the true state
-of the boards. For example, a striker may be fired only while the arm has promised to stand still,
+of the boards. For example, a striker may be fired only while the arm is committed to stand still,
 and nothing may move without a person's permission. Runs continue until each node was frozen
 ``count`` times, and killed, restarted or stopped half as many times. Every violation is printed.
 
 Before it fires, the tapper requests ``hold_still`` from the arm. If the arm grants the request, it
-promises to stand still for a given time. The grant is called the permit. The benchmark also
+is committed to stand still for a given time. The grant is called the permit. The benchmark also
 measures how much longer a tap takes because of the permit, in goals without faults. This time has
 two parts. The first part is the time from the tapper's request to the arm's answer. The second part
 begins when the striker has completed its stroke and the tap has been withdrawn, and ends when the
@@ -39,8 +39,8 @@ STRUCK = (*NODES, "camera_pose")
 GOALS, SEED = 10, 41
 COST_SEEDS, COST_GOALS = range(1, 5), 5
 MIN_HOLD_S = 0.16
-"""The duration in a ``hold_still`` request is longer than this limit if the tapper asks the arm to
-stand still, and shorter if the tapper ends the arm's promise early, s."""
+"""Limit of the duration in a ``hold_still`` request, in s. A longer duration asks the arm to stand
+still; a shorter one ends the permit early."""
 
 
 def measure(count: int) -> dict[str, Any]:
@@ -78,15 +78,15 @@ def _times(summary: Summary, node: str, ways: tuple[str, ...]) -> int:
 
 @dataclass(slots=True)
 class _Waits:
-    """Times in one run for which the tapper or the arm waited because of the permit, s."""
+    """Times in one run for which the tapper or the arm waited because of the permit, in s."""
 
     trial: Trial
     for_answer: list[float] = field(default_factory=list)
     after_stroke: list[float] = field(default_factory=list)
     _asked: float = 0.0
     _free_at: float | None = None
-    """Time at which the arm could leave if it had not promised to stand still, s; None while no tap
-    has been withdrawn."""
+    """Time, in s, at which the arm could leave if it were not committed to stand still; None while
+    no tap has been withdrawn."""
     _moving: bool = False
 
     def begin(self) -> None:

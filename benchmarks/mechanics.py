@@ -30,8 +30,8 @@ _LAUNCHES = 12
 _MUJOCO_LAUNCHES = 4
 _MUJOCO_FEET = 61
 _TIGHT = 1e-12
-# Tolerance of solve_ivp for the comparison of computing times. With it, the largest errors of
-# solve_ivp and of the table are about equal (a few 1e-10).
+# Tolerance of solve_ivp for the comparison of computing times. With this tolerance, the largest
+# errors of solve_ivp and of the table are about equal (a few 1e-10).
 _EQUAL = 1e-10
 
 
@@ -84,7 +84,7 @@ def lines(report: dict) -> list[str]:
 
 
 def _best(task: Callable[[], object], repetitions: int) -> float:
-    """Return the time of the fastest repetition, s."""
+    """Return the time of the fastest repetition, in s."""
     times = []
     for _ in range(repetitions):
         start = time.perf_counter()

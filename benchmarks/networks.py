@@ -2,8 +2,8 @@
 
 The module needs root rights and the programs ``unshare``, ``nsenter`` and ``ip``; :func:`why_not`
 returns what is missing. Without simulated delay and loss, a veth pair connects two computers at the
-kernel's speed. Otherwise every packet passes through this module's relay, a switch between TAP
-devices, which forwards about a thousand packets per second.
+kernel's speed. Otherwise every packet passes through this module's relay. The relay is a switch
+between TAP devices and forwards about a thousand packets per second.
 """
 
 from __future__ import annotations
@@ -102,11 +102,11 @@ class Computer:
 def computers(
     names: Sequence[str], delay: float = 0.0, loss: float = 0.0
 ) -> Iterator[list[Computer]]:
-    """Create computers on one network. ``delay``: delay of each packet, s; ``loss``: share of lost
-    packets.
+    """Create computers on one network. ``delay``: delay of each packet, in s; ``loss``: share of
+    lost packets.
 
     Raises:
-        ValueError: more than two computers without delay and loss.
+        ValueError: more than two computers are requested without delay and loss.
     """
     if not (delay or loss) and len(names) != 2:
         raise ValueError("a link without delay and loss connects exactly two computers")

@@ -36,10 +36,10 @@ from tapping_cell.simulation.scene import make_renderer
 from tapping_cell.simulation.truth import CameraTruth
 
 DEFAULT_COUNT = 10
-"""Duration of the measurement, s."""
+"""Duration of the measurement, in s."""
 RATE = 30.0
 PICTURES = 60
-"""Number of different images, which are published repeatedly."""
+"""Number of different images; they are published repeatedly."""
 WARM_UP_S = 4.0
 MARKED, PLAIN = "aluminium_disk.yaml", "plain_disk_with_dot.yaml"
 
@@ -96,7 +96,7 @@ def _watch(graph: Graph, seconds: int) -> dict[str, Any]:
         subscribe = client.node.create_subscription
         subscribe(ObjectState, "object_state", on_state, LATCHED)
         subscribe(DiagnosticArray, "/diagnostics", on_diagnostics, 10)
-        # The first message is an old one, which the publisher has kept.
+        # The first message is an old one that the publisher has kept.
         wait_until(lambda: ages, "object_state was not received", graph)
         ages.clear()
         before = {name: cpu_seconds(pid) for name, pid in graph.process_ids.items()}

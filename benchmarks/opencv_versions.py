@@ -35,7 +35,7 @@ OVERLAY = ROOT / "build" / "oldest"
 
 
 def measure(count: int) -> dict[str, Any]:
-    """Return the results of both versions."""
+    """Return the results of both versions of OpenCV."""
     overlay = _overlay()
     with tempfile.TemporaryDirectory() as folder:
         truth = _render(Path(folder), count)
@@ -106,7 +106,8 @@ def _render(folder: Path, count: int) -> list[dict[str, Any]]:
 
 
 def _is_free(quad: np.ndarray, hidden: np.ndarray) -> bool:
-    """Return whether a marker is within the image and not covered, with a margin of its size."""
+    """Return whether a marker is within the image and its centre is more than one side of the
+    marker away from the cover."""
     side = float(np.linalg.norm(quad[0] - quad[1]))
     if np.any(quad < 10) or np.any(quad > [1269, 1013]):
         return False

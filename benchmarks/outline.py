@@ -30,7 +30,7 @@ DEFAULT_COUNT = 6
 PLACES = 10
 """Number of object positions per scene."""
 WRONG = 0.0003
-"""Error above which an accepted pose counts as wrong, m."""
+"""Error above which an accepted pose counts as wrong, in m."""
 _SIDES = ((-0.04, -0.04), (0.04, -0.04), (0.04, 0.04), (-0.04, 0.04))
 OBJECTS = {
     "dark disk, light dot": ObjectOutline(

@@ -5,8 +5,8 @@ hostile clients with 200 messages per second each. The hostile clients first sen
 and invalid data to the page, and reconnect when disconnected. Then the hostile clients send
 ``check`` requests and invalid data to the port of STOP. The latency includes a browser's request
 over a new connection, the process, the middleware and the subscription in this process. For
-comparison, the latency is also measured without an attack, and for a message that this process
-publishes itself.
+comparison, two other latencies are measured: that of STOP without an attack, and that of a message
+that this process publishes itself.
 """
 
 from __future__ import annotations
@@ -40,11 +40,12 @@ from tapping_cell.vision import CameraPose
 
 STOPS = 100
 PAUSE_S = 0.2
-"""Pause between stops, s."""
+"""Pause between stops, in s."""
 CLIENTS = 50
 BATCH_PERIOD_S = 0.05
 BATCH = 10
-"""Number of messages that each client sends per period, which gives 200 messages per second."""
+"""Number of messages that each client sends per period; it corresponds to 200 messages per
+second."""
 TIMEOUT_S = 20.0
 
 
@@ -83,8 +84,8 @@ def lines(report: dict[str, Any]) -> list[str]:
 
 
 class Listener(ClientNode):
-    """Records the arrival of a stop. This node also publishes camera data, so that handling a drag
-    costs the page as much as in a real cell."""
+    """Records the arrival of a stop. This node also publishes camera data, so that the page needs
+    as much processor time for a drag as in a real cell."""
 
     def __init__(self, name: str) -> None:
         super().__init__(name)
@@ -214,7 +215,7 @@ def _attack(port: int, hello: bytes, messages: list[bytes], sent: Any) -> None:
                 with sent.get_lock():
                     sent.value += BATCH
             except BlockingIOError:
-                continue  # the server has stopped reading, which protects it
+                continue  # the server has stopped reading to protect itself
             except OSError:
                 if line is not None:
                     line.close()

@@ -4,10 +4,10 @@ degrees).
 
 The trials use the abstract model with the scatter from the paper (5 % in distance, 15 % in
 rotation, 1 degree in direction) and camera noise of 0.01 mm and 0.01 degrees. The benchmark also
-considers a goal whose distance is exactly the length of the smallest tap. It computes the
-probability that this tap ends inside the stopping box, the region around the goal for which plans
-are made. It also measures the processor time for computing the coarse plan, which is used first,
-and the fine plan.
+considers a goal whose distance is exactly the length of the smallest tap. The benchmark computes
+the probability that this tap ends inside the stopping box, the region around the goal for which
+plans are made. The benchmark also measures the processor time for computing the coarse plan, which
+is used first, and the fine plan.
 """
 
 from __future__ import annotations

@@ -2,11 +2,11 @@
 degrees to within 0.1 mm and 0.1 degrees.
 
 For a round object on an open table, distance and rotation to the goal are the complete state, and a
-tap is given by direction, distance and rotation. The benchmark computes the best policy over taps
-in all directions, whereas the planning method ``optimal`` uses only taps along the line to the
-goal. Near the smallest tap, where the expected taps change rapidly, the grid is finer than that of
-``optimal``. The camera noise is 0.01 mm and 0.01 degrees. The expected taps are accurate to 0.05
-taps; this is the difference between the results of two grids.
+tap is given by direction, distance and rotation. The benchmark computes the optimal policy over all
+taps, whereas the planning method ``optimal`` taps only along the line to the goal. Near the
+smallest tap, where the expected taps change rapidly, the grid is finer than that of ``optimal``.
+The camera noise is 0.01 mm and 0.01 degrees. The expected number of taps is accurate to 0.05: the
+results of two grids differ by this value.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ LARGEST_TAP = 0.040
 ALL_DIRECTIONS = np.linspace(0.0, math.pi, 9)
 LINE = np.array([0.0, math.pi])
 NEAR = 3.2
-"""Limit for taps in other directions than along the line to the goal, in multiples of the length of
-the smallest tap. Such taps are only considered if neither their length nor the distance to the goal
+"""Limit for taps that are not along the line to the goal, in multiples of the length of the
+smallest tap. Such a tap is considered only if neither its length nor the distance to the goal
 exceeds the limit."""
 ITERATIONS, EVALUATIONS, SETTLED = 12, 25, 2e-3
 

@@ -1,4 +1,4 @@
-"""A running graph for benchmarks, waiting for events in it, and the processor time of a process."""
+"""Start a graph for benchmarks, wait for events in it, and measure processor times."""
 
 from __future__ import annotations
 

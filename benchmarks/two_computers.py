@@ -26,7 +26,7 @@ from tapping_cell.nodes import MODULES
 DEFAULT_COUNT = 10
 """Number of goals."""
 PICTURES = 600
-"""Number of images per transport, which take 20 s."""
+"""Number of images per transport. Sending them takes 20 s."""
 RATE_HZ = 30.0
 SIZE = (1024, 1280)
 DELAY_S, LOSS = 0.020, 0.01
@@ -36,12 +36,12 @@ PLACES = {
     "desk": ("tap_planner", "run_recorder"),
 }
 CLOCKS_S = {"vision": 0.3, "drivers": 0.1, "desk": 0.0}
-"""Offset of each computer's clock in the run in which the cell must accept goals, s."""
+"""Offset of each computer's clock in the run in which the cell must accept goals, in s."""
 REFUSED_S = {
     "vision": {"vision": 2.0, "drivers": 0.0, "desk": 0.0},
     "drivers": {"vision": 0.0, "drivers": 2.0, "desk": 0.0},
 }
-"""Offsets of the computers' clocks, s. The name of each entry is the computer whose clock is too
+"""Offsets of the computers' clocks, in s. The name of each entry is the computer whose clock is too
 far ahead. A goal must be refused before its first tap, and the refusal must name this computer."""
 TIMEOUT_S = 120.0
 SETTLE_S = 3.0
@@ -116,7 +116,7 @@ def cell(
 ) -> Iterator[Computer]:
     """Run the simulated cell on three computers and yield the operator's computer.
 
-    ``clocks``: offset of each computer's clock, s, positive if it is ahead.
+    ``clocks``: offset of each computer's clock in s, positive if the clock is ahead.
     """
     environment = {**own, "HOME": str(folder), "OPENBLAS_NUM_THREADS": "1"}
     shifts = CLOCKS_S if clocks is None else clocks

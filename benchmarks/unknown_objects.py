@@ -64,7 +64,7 @@ class Recorded:
 
 
 def turned(moves: Array, angles: Array) -> Array:
-    """Rotate displacements (n, 3) by ``angles`` (n,), rad."""
+    """Rotate displacements (n, 3) by ``angles`` (n,), in rad."""
     cos, sin = np.cos(angles), np.sin(angles)
     x, y = moves[:, 0], moves[:, 1]
     return np.stack([cos * x - sin * y, sin * x + cos * y, moves[:, 2]], axis=1)

@@ -2,10 +2,10 @@
 
 The worlds are those of ``config/truth`` and random variations of ``everything.yaml``. A random
 world has all effects of ``everything.yaml`` at once, each with a random size up to the value in
-this file. Its friction and torque factor differ from the planner's values by up to a given ratio.
-Each goal is up to 40 mm and 20 degrees away from the object, which starts anywhere on the cell's
-table. At this time, the planner only knows the object's file. Observations of the object have noise
-of 0.05 mm and 0.05 degrees.
+that file. The friction and the torque factor of a random world differ from the planner's values by
+up to a given ratio. Each goal is up to 40 mm and 20 degrees away from the object, which starts
+anywhere on the cell's table. At the start of a goal, the planner has only the object's file.
+Observations of the object have noise of 0.05 mm and 0.05 degrees.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ SPREADS = {"as the file": (1.0, 1.0), "within 2": (2.0, 2.0), "within 4 and 2.5"
 """For each group of random worlds, the largest ratio of true to configured friction, and the
 largest ratio of true to configured torque factor. Each ratio is drawn log-uniformly between the
 inverse of its largest value and this value. In the first group both ratios are 1, so this group
-shows how many additional taps are due to the other effects."""
+shows how many additional taps are due to all effects other than friction and torque factor."""
 
 
 def shipped_worlds() -> dict[str, TruthFile]:

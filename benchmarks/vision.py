@@ -72,8 +72,8 @@ def _measure(count: int) -> dict[str, Any]:
         assert scene is not None
         true = random.uniform([-0.25, -0.17, -math.pi], [0.25, 0.17, math.pi])
         image = scene.render(true)
-        # The first method starts with a cold CPU cache. Therefore, a different method is the first
-        # in each image.
+        # The first method starts with a cold CPU cache. Therefore, the method that runs first
+        # changes from image to image.
         turn = number % len(methods)
         for name in [*methods][turn:] + [*methods][:turn]:
             method = methods[name]
@@ -137,8 +137,8 @@ def _methods(
         return by_edges(image, quad(true + np.array([0.0005, -0.0004, 0.004])))
 
     def settled(image: np.ndarray, true: np.ndarray) -> Pose:
-        # Start from the predicted pose. It is nearly exact if the object is stationary or if its
-        # motion was predicted well.
+        # Start from the predicted pose. The predicted pose is nearly exact if the object is
+        # stationary or if its motion was predicted well.
         return by_edges(image, quad(true + np.array([2e-5, -2e-5, 2e-4])))
 
     def photometric(image: np.ndarray, true: np.ndarray) -> Pose:
@@ -236,7 +236,7 @@ def _cut(
 
 def _tracker(scene: SceneRenderer, cell: Cell) -> dict[str, float]:
     """Measure the complete tracker with reference markers: time per frame for a stationary and for
-    a sliding object, ms."""
+    a sliding object, in ms."""
     tracker = PoseTracker(scene.view.camera, cell.table, cell.marker)
     still, moving = [], []
     pose = np.array([-0.1, 0.05, 0.3])

@@ -1,13 +1,14 @@
 """Processor time per image with 1, 5 and 20 objects on the table, each with a marker of its own.
 
 The noise and the positions of the objects change from image to image, so that the tracker measures
-every object again. The benchmark measures all objects in each image, whereas the node measures only
-the first object in each image, and the others in turn.
+every object again. The benchmark measures all objects in each image, whereas the node measures the
+first object in each image and the other objects in turn.
 
-The processor time of the search for objects without a file is measured in the same images. The
-search knows only the first object, so it has to find all others. (The node searches at most every
-0.15 s.) Then the search is run on images of the arm over an empty table, at random places and with
-random light. The arm's joint positions are known to the search, which must find nothing.
+The processor time of the search for objects without a file is measured in the same images. Only the
+first object is known to the search, so the search has to find all other objects. (The node searches
+at most every 0.15 s.) Then the search is run on images of the arm over an empty table, at random
+places and with random light. The arm's joint positions are known to the search. The search must not
+find any object.
 """
 
 from __future__ import annotations
@@ -59,8 +60,8 @@ def measure(count: int) -> dict[str, Any]:
 
 
 def _false_objects(frames: int) -> dict[str, int]:
-    """Return the number of images of the arm over an empty table, and in how many of them an object
-    was found."""
+    """Return the number of images of the arm over an empty table, and the number of those images in
+    which an object was found."""
     cell, full = Cell.load(), load_cell()
     arm, geometry, table = full.arm, full.arm.geometry(), full.file.table
     false = 0

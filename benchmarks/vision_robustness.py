@@ -1,8 +1,9 @@
 """Wrong poses among ten thousand frames with disturbances over the table.
 
-A frame is wrong if the error of its pose is more than five standard deviations and more than 0.3 mm
-(or 0.3 degrees). Each disturbance must also be recognised: while it lasts, one of the expected
-problems or the expected warning must be reported.
+A frame is wrong if the error of its pose is more than five standard deviations and, in addition,
+the position error is more than 0.3 mm or the angle error is more than 0.3 degrees. Each disturbance
+must also be recognised: while it lasts, one of the expected problems or the expected warning must
+be reported.
 """
 
 from __future__ import annotations

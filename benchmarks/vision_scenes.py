@@ -59,7 +59,7 @@ def random_scene(
 
 
 def disk_outline() -> np.ndarray:
-    """Return points (n, 2) of the rim of the disk, m."""
+    """Return points (n, 2) of the rim of the disk, in m."""
     angle = np.linspace(0.0, 2.0 * math.pi, 120, endpoint=False)
     return 0.048 * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
 

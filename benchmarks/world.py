@@ -1,10 +1,11 @@
 """Agreement of the simulated world with closed-form solutions, and its processor time per tap.
 
 A free striker makes random taps of three bodies in a simulated world without errors. The contact is
-integrated in time, and the velocity after the contact is compared with that of the closed-form
-impact. The simulated velocity is read 0.3 ms after the impact, so the difference includes the speed
-that the body has lost to the table's friction in this time. The slide that follows is compared with
-the closed-form slide. Then the processor time of a tap is measured in each supplied world.
+integrated in time, and the velocity after the contact is compared with the velocity after the
+closed-form impact. The simulated velocity is read 0.3 ms after the impact, so the difference
+includes the speed that the body has lost to the table's friction in this time. The slide that
+follows is compared with the closed-form slide. Then the processor time of a tap is measured in each
+supplied world.
 """
 
 from __future__ import annotations

@@ -3,7 +3,8 @@
     python3 environment/lock.py
 
 uv resolves ``requirements.in`` for every Python from 3.10 on in one run, and keeps the versions of
-the present lock if they still fit. ``UV_DEFAULT_INDEX`` selects another package index.
+the existing lock if these versions still satisfy the requirements. ``UV_DEFAULT_INDEX`` selects
+another package index.
 """
 
 from __future__ import annotations

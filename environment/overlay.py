@@ -1,4 +1,4 @@
-"""A folder of packages that replace those of .venv."""
+"""A folder of packages that replace packages of .venv."""
 
 from __future__ import annotations
 
@@ -22,5 +22,5 @@ def install(versions: Path, folder: Path) -> None:
 
 
 def path(folder: Path) -> str:
-    """Return a PYTHONPATH with which the packages in ``folder`` replace those of .venv."""
+    """Return a PYTHONPATH with which the packages in ``folder`` replace packages of .venv."""
     return os.pathsep.join(filter(None, (str(folder), os.environ.get("PYTHONPATH"))))

@@ -1,7 +1,9 @@
-"""Run tests and a demo with the oldest supported package versions, which replace those of .venv.
+"""Run tests and a demo with the oldest supported package versions instead of those of .venv.
 
-python environment/run_oldest.py the pure and the driver tests, and one demo python
-environment/run_oldest.py test/pure/vision only these tests
+Usage:
+
+    python environment/run_oldest.py                     the pure and the driver tests, and one demo
+    python environment/run_oldest.py test/pure/vision    only these tests
 """
 
 from __future__ import annotations

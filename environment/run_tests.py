@@ -3,13 +3,13 @@ results.
 
     python environment/run_tests.py [pytest options]
 
-The pure ring is limited by the processor and does not depend on time. It runs at low priority in
-parallel with the other rings. The rings of the drivers and of the nodes mostly wait, so each of
-them distributes its tests to several processes. Tests of nodes that are marked ``alone`` publish or
-process images at the camera's frame rate, and the graph tests run all nodes in real time. These
-tests run one after the other. The graph tests run after the pure ring has ended. Every ring runs
-even if an earlier ring failed. At the end, the duration and the processor time of each ring are
-printed. The last line contains the counts of all rings.
+The pure ring is limited by the processor and does not depend on time. The pure ring runs at low
+priority in parallel with the other rings. The rings of the drivers and of the nodes mostly wait, so
+each of these two rings distributes its tests to several processes. Tests of nodes that are marked
+``alone`` publish or process images at the camera's frame rate, and the graph tests run all nodes in
+real time. These tests run one after the other. The graph tests run after the pure ring has ended.
+Every ring runs even if an earlier ring failed. At the end, the duration and the processor time of
+each ring are printed. The last line contains the counts of all rings.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from pathlib import Path
 from typing import IO
 
 ROOT = Path(__file__).resolve().parent.parent
-# Name of the ring, which is its folder in test/, and the options with which it is run.
+# Name of the ring (the name of its folder in test/), and the options with which the ring is run.
 RINGS: dict[str, tuple[str, ...]] = {
     "pure": ("pure", "-n", "2"),
     "pty": ("pty", "-n", "4"),
@@ -69,7 +69,8 @@ def started(ring: str, options: Sequence[str], output: int | IO[str]) -> subproc
 
 
 def ended(ring: str, process: subprocess.Popen[str], began: float) -> str:
-    """Wait for the tests of a ring, and return a line with their duration and processor time, s."""
+    """Wait for the tests of a ring, and return a line with their duration and processor time, in
+    s."""
     before = processor_time()
     process.wait()
     used = processor_time() - before

@@ -40,8 +40,8 @@ VERSION = f"{sys.version_info[0]}.{sys.version_info[1]}"  # of this interpreter
 # These are built without pip's isolated build environments, with the setuptools version of the
 # lock.
 SOURCE_DISTRIBUTIONS = ("empy",)
-# With ROS 2 from apt, these packages also come from apt, because its compiled messages need its
-# version of numpy.
+# With ROS 2 from apt, these packages also come from apt, because the compiled messages of this ROS
+# need the version of numpy from apt.
 FROM_APT = ("ros-", "colcon-", "numpy", "empy", "lark-parser", "catkin-pkg", "setuptools")
 # Variables that would make pip, CMake or colcon use another environment or another make.
 FOREIGN_VARIABLES = re.compile(
@@ -211,8 +211,8 @@ def ros_sourced() -> bool:
 
 
 def build_environment(outside: Mapping[str, str], sourced: bool) -> dict[str, str]:
-    """Return the environment variables of the build: those of the shell, without those of other
-    environments.
+    """Return the environment variables of the build: the variables of the shell, without the
+    variables of other environments.
 
     The variables of a sourced ROS are kept, except for the folders that env.sh added. Without a
     sourced ROS, the variables of other ROS environments are replaced by the folders of the wheels.
@@ -314,7 +314,7 @@ def cause_of(text: str) -> str:
 
 def pinned(lock: str, sourced: bool) -> list[str]:
     """Return the lock's requirements to install, one per line with its hashes. For a ROS from apt,
-    these are only the packages that it does not contain."""
+    these are only the packages that this ROS does not contain."""
     logical = lock.replace("\\\n", " ").splitlines()
     lines = [line for line in logical if line and not line.startswith("#")]
     return [line for line in lines if not (sourced and line.startswith(FROM_APT))]
@@ -364,7 +364,8 @@ def repair_exports(prefix: Path) -> None:
     interpreter.
 
     The CMake targets of the interface wheels contain the include folders of the Python and numpy
-    with which the wheels were built. A build against them fails because these folders do not exist.
+    with which the wheels were built. A build with these targets fails because the folders do not
+    exist on this machine.
     """
     python = prefix / "bin" / "python"
     include = ask(python, "import sysconfig; print(sysconfig.get_path('include'))")

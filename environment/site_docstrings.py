@@ -1,7 +1,7 @@
 """Convert the lists of fields and the commands in docstrings to lists and code blocks of the site.
 
 In the source, a field is written as ``name: meaning``, and a command is indented by two spaces.
-This is easy to read in the source and in a terminal, but it is not markup.
+This notation is easy to read in the source and in a terminal, but it is not markup.
 """
 
 from __future__ import annotations

@@ -8,8 +8,8 @@ rotation c = exp(i yaw) and a point m in the tool frame, the predicted position 
 
 and the predicted angle is yaw + q1 + q2 + q4 plus the marker's angle on the tool. Here q2 is the
 controller's value plus the offset of the elbow. No set of poses separates the shoulder's offset
-from the base's yaw, or the tool joint's offset from the marker's angle on the tool. Therefore
-neither offset is fitted.
+from the base's yaw, and no set separates the tool joint's offset from the marker's angle on the
+tool. Therefore neither of these two offsets is fitted.
 """
 
 from __future__ import annotations
@@ -46,11 +46,11 @@ _LOOSE = {"m": 0.005, "rad": np.radians(1.0)}
 """Maximum standard deviation of a fitted length (m) or angle (rad). If the poses determine a value
 less accurately, it is not fitted, and the cell file's value is kept."""
 _CORRELATED = 0.97
-"""Correlation of two fitted values above which a note says that the poses determine mainly a
-combination of the two."""
+"""Correlation of two fitted values above which a note is made that the poses determine mainly a
+combination of the two values."""
 _OUTLIER = 4.5
-"""Number of robust standard deviations above which a row is an outlier. The standard deviations
-used for this are at least ``_POSITION_FLOOR`` (m) and ``_ANGLE_FLOOR`` (rad)."""
+"""Number of robust standard deviations above which a row is an outlier. These robust standard
+deviations are at least ``_POSITION_FLOOR`` (m) and ``_ANGLE_FLOOR`` (rad)."""
 _POSITION_FLOOR, _ANGLE_FLOOR = 2e-5, 2e-4
 _WORST_SPREAD = 0.005
 """Standard deviation of the position residuals, in m, above which the calibration is refused,
@@ -127,12 +127,12 @@ class ArmCalibration:
 
     @property
     def position_rms(self) -> float:
-        """Root mean square distance between measured and predicted points, m."""
+        """Root mean square distance between measured and predicted points, in m."""
         return float(np.sqrt((self.residuals**2).sum(axis=1).mean()))
 
     @property
     def angle_rms(self) -> float | None:
-        """Root mean square of the angles' residuals, rad."""
+        """Root mean square of the angles' residuals, in rad."""
         return None if self.turns is None else float(np.sqrt((self.turns**2).mean()))
 
 
@@ -179,8 +179,8 @@ def _unit(name: str) -> str:
 
 
 def _to_hold(free: Sequence[str], loose: dict[str, float]) -> str:
-    """Choose, among the poorly determined values, the next one to keep as in the cell file: the one
-    whose value in the file is most likely to be accurate."""
+    """Choose, among the poorly determined values, the next value that is not fitted but taken from
+    the cell file: the value that is most likely to be accurate in this file."""
     order = ("forearm", "upper_arm", "elbow_zero", "mount_x", "mount_y", "mount_angle")
     known = [name for name in order if name in free and not loose[name] <= 1.0]
     return known[0] if known else max(loose, key=lambda name: loose[name])
@@ -225,7 +225,7 @@ def _begin(
     singular = np.linalg.svd(columns, compute_uv=False)
     if singular[-1] < 1e-3 * singular[0]:
         # The tool has the same angle to the forearm in all rows, so the rows do not determine the
-        # mount. Keep the mount of the cell file.
+        # mount of the marker or tip. Keep the mount of the cell file.
         columns = columns[:, :2]
         columns[:, 1] += complex(geometry.tip_forward, geometry.tip_side) * heading
     random = np.random.default_rng(0)

@@ -13,8 +13,8 @@ from tapping_cell.se2 import Pose
 TURN = math.radians(120.0)
 """Maximum angle, to either side, between the tool and the line from the shoulder to the tip."""
 _INSIDE = 0.01
-"""Distance to keep from the joint limits, in rad, so that an error of a joint's zero cannot stop a
-move."""
+"""Distance to keep from the joint limits, in rad, so that a wrong zero position of a joint cannot
+make a move stop at a limit."""
 _TRIED = 50
 """Maximum number of candidate positions per requested pose. Usually far fewer are needed, because
 an arm reaches most of its table."""

@@ -1,13 +1,14 @@
 """Bootstrap confidence intervals for fits that minimise a sum of costs, one for each trial.
 
-The score s_i(t) of trial i is the gradient of its cost, so an estimate t solves sum_i s_i(t) = 0.
-Near the fitted estimate t_0, the score is approximately s_i(t) = s_i + H_i (t - t_0), where s_i is
-the score at t_0 and H_i the information: the second derivative of the cost at t_0. One Newton step
-gives the estimate of a resample and its standard error, so thousands of resamples cost only a
-matrix product. Trials are resampled within each run, so every run keeps its number of trials. The
-interval is the studentised one (percentile-t; Davison and Hinkley, Bootstrap Methods and their
-Application, 1997, section 5.2.1). Its coverage is correct even for few trials, for which the plain
-percentile interval is too short.
+The score s_i(t) of trial i is the gradient of the trial's cost with respect to the parameters t, so
+an estimate t solves sum_i s_i(t) = 0. Near the fitted estimate t_0, the score is approximately
+s_i(t) = s_i + H_i (t - t_0), where s_i is the score at t_0 and H_i the information: the second
+derivative of the cost at t_0. One Newton step gives the estimate from a resample and the standard
+error of this estimate, so thousands of resamples cost only a matrix product. Trials are resampled
+within each run, so every run keeps its number of trials. The interval is the studentised one
+(percentile-t; Davison and Hinkley, Bootstrap Methods and their Application, 1997, section 5.2.1).
+The coverage of this interval is correct even for a small number of trials. For such a number, the
+plain percentile interval is too short.
 """
 
 from __future__ import annotations
@@ -29,8 +30,8 @@ _MAX_STD = 5.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Spread:
-    """Lower and upper end of the interval, as differences from the estimate, and the standard
-    error; each (p,)."""
+    """Lower and upper end of the interval, both as differences from the estimate, and the standard
+    error; each of shape (p,)."""
 
     low: Array
     high: Array
@@ -67,7 +68,7 @@ def spread(
     usable = np.isfinite(offset).all(axis=1) & np.isfinite(own_std).all(axis=1)
     ratio = offset[usable] / np.maximum(own_std[usable], 1e-3 * std + 1e-300)
     # Resampling within a run of n trials gives a variance that is too small by the factor (n - 1) /
-    # n. This is corrected with the mean of n / (n - 1) over all trials.
+    # n. The variance is corrected with the mean of n / (n - 1) over all trials.
     sizes = np.array([np.sum(labels == run) for run in labels], dtype=float)
     ratio *= math.sqrt(float(np.mean(sizes / np.maximum(sizes - 1, 1))))
     ratio = np.clip(ratio, -_MAX_STD, _MAX_STD)

@@ -1,8 +1,8 @@
 """Calibration of the camera's intrinsics and distortion from photographs of a flat target.
 
 The method is Zhang's (A flexible new technique for camera calibration, PAMI 22, 2000), as
-implemented in OpenCV. In addition, unsuitable views are rejected with name and reason, sets of
-views that do not determine the focal length are refused, and the lens model is chosen by
+implemented in OpenCV. In addition, unsuitable views are rejected with their name and the reason, a
+set of views that does not determine the focal length is refused, and the lens model is chosen by
 cross-validation.
 """
 
@@ -26,11 +26,12 @@ from tapping_cell.vision.camera import CameraError, CameraModel
 MIN_VIEWS = 6
 """Minimum number of views for a calibration; about 20 are recommended."""
 _MIN_TURN = np.radians(10.0)
-"""Minimum angle between the target planes of the two views that differ most."""
+"""Minimum angle between the target planes of those two views whose planes differ most."""
 _WORST_FOCAL = 0.01
 """Maximum relative standard deviation of a focal length."""
 _OUTLIER_RATIO, _OUTLIER_PIXELS = 3.0, 0.4
-"""A view is an outlier if its error exceeds this multiple of the median and this many pixels."""
+"""A view is an outlier if its error exceeds both this multiple of the median error and this number
+of pixels."""
 _CORNER_RATIO, _CORNER_PIXELS = 6.0, 0.4
 _HIGH_RMS = 0.5
 _FOLDS = 4
@@ -77,9 +78,10 @@ class CameraCalibration:
     """A calibrated camera and the quality of the calibration.
 
     ``rms`` is the root mean square reprojection error in pixels. ``deviations`` are the standard
-    deviations of the parameters (in pixels; coefficients have no unit). ``held_out`` contains the
-    cross-validation error of each lens model in pixels. ``coverage`` (rows, columns) counts the
-    views with corners in each part of the image. ``warnings`` are for the user.
+    deviations of the parameters (in pixels; those of distortion coefficients have no unit).
+    ``held_out`` contains the cross-validation error of each lens model in pixels. ``coverage``
+    (rows, columns) counts the views with corners in each part of the image. ``warnings`` are for
+    the user.
     """
 
     model: CameraModel
@@ -147,8 +149,9 @@ def calibrate_camera(
 ) -> CameraCalibration:
     """Calibrate the camera that took these views in images of ``size`` (width, height).
 
-    ``lens_model`` is ``plumb_bob`` or ``rational_polynomial``; None chooses by cross-validation.
-    ``unseen`` are photographs without a detected target; the result lists them as rejected.
+    ``lens_model`` is ``plumb_bob`` or ``rational_polynomial``; if it is None, the model is chosen
+    by cross-validation. ``unseen`` are photographs without a detected target; the result lists them
+    as rejected.
 
     Raises:
         CalibrationRefused: too few views remain, or they do not determine the focal length.
@@ -361,7 +364,7 @@ class _Fitter:
         return np.array([_rms(self.residuals(view, fit)) for view in views])
 
     def without_stray_corners(self, views: Sequence[TargetView], lens: Lens) -> list[TargetView]:
-        """Return the views without corners that have large residuals."""
+        """Return the views after removing the corners with large residuals."""
         for _ in range(3):
             fit = self.fit(views, lens)
             lengths = [np.linalg.norm(self.residuals(view, fit), axis=1) for view in views]

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from tapping_cell.calibration.target import TargetView
 
 _SAME_SHARE = 0.004
-"""Mean corner distance, as a fraction of the image diagonal, below which views are duplicates."""
+"""Mean distance between corresponding corners of two views, as a fraction of the image diagonal,
+below which the views count as duplicates."""
 _BLUR_SHARE, _BLUR_PIXELS, _BLUR_RATIO = 0.15, 2.5, 2.0
 GRID = (5, 6)
 """Number of rows and columns into which the image is divided to count coverage."""
@@ -33,7 +34,8 @@ class Rejected:
 def screen(
     views: Sequence[TargetView], size: tuple[int, int]
 ) -> tuple[list[TargetView], list[Rejected]]:
-    """Reject blurred views and, among views of the same pose, all except the first."""
+    """Reject blurred views and, among several views of the same pose, all views except the
+    first."""
     usual = float(np.median([view.blur for view in views])) if views else 0.0
     near = _SAME_SHARE * float(np.hypot(*size))
     kept: list[TargetView] = []
@@ -64,8 +66,9 @@ def screen(
 
 
 def _apart(view: TargetView, other: TargetView) -> float:
-    """Return the mean distance, in pixels, between the positions of a corner in the two views, over
-    the corners that both views show; infinite if these are fewer than four."""
+    """Return the mean distance, in pixels, between the positions of the same corner in the two
+    views, over all corners that both views show. It is infinite if both views show fewer than four
+    common corners."""
     _, mine, others = np.intersect1d(view.ids, other.ids, return_indices=True)
     if len(mine) < 4:
         return np.inf
@@ -90,7 +93,7 @@ def coverage(views: Sequence[TargetView], size: tuple[int, int]) -> NDArray[np.i
 
 
 def uncovered_regions(counts: NDArray[np.intp]) -> list[str]:
-    """Name the regions of the image in which more than half the area has no corner in any view."""
+    """Name the regions of the image of which more than half has no corner in any view."""
     uncovered = []
     for row, names in enumerate(_PLACES):
         for column, name in enumerate(names):

@@ -1,4 +1,4 @@
-"""Update of one section of a cell file after a calibration, leaving all else unchanged."""
+"""Update of one section of a cell file after a calibration; the rest of the file is unchanged."""
 
 from __future__ import annotations
 

@@ -5,7 +5,8 @@ name ends in another unit: ``x`` and ``x_m`` are in m, ``x_mm`` in mm, ``shoulde
 Cells are separated by commas, semicolons or tabs. With semicolons or tabs, numbers may have decimal
 commas. A row in which a cell is not a number or is out of range is rejected and listed in
 ``faults``. If many rows are out of range, the file is rejected, and the message suggests another
-unit. Other columns are ignored. Row numbers are those of a text editor: the first line is row 1.
+unit. Other columns are ignored. Rows are numbered as in a text editor: the first line of the file
+is row 1.
 """
 
 from __future__ import annotations
@@ -37,11 +38,12 @@ UNITS: dict[str, dict[str, float]] = {
 _DECIMAL_POINT = re.compile(r"[+-]?\d*\.\d*([eE][+-]?\d+)?")
 _DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d*([eE][+-]?\d+)?")
 _MOST = 0.3
-"""Maximum fraction of rows out of range; above it, the whole file is rejected."""
+"""Maximum fraction of rows out of range; above this fraction, the whole file is rejected."""
 
 
 class RecordError(ValueError):
-    """Raised for an unusable record; the message names file, row or column, and the remedy."""
+    """Raised for an unusable record; the message names the file, the row or column, and the
+    remedy."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,8 +120,8 @@ def read_csv(
     """Read the rows of a CSV file in which every cell is a number within its range.
 
     Raises:
-        RecordError: the file, its header, a column or valid rows are missing, a column is repeated,
-            or many values indicate a wrong unit.
+        RecordError: the file, its header or a column is missing, there is no valid row, a column is
+        repeated, or many values indicate a wrong unit.
     """
     path = Path(path)
     lines = _lines(path)
@@ -164,7 +166,8 @@ def read_csv(
 
 
 def _lines(path: Path) -> list[tuple[int, list[str]]]:
-    """Read row number and cells of each line that is neither empty nor a comment; header first."""
+    """Read row number and cells of each line that is neither empty nor a comment; the first such
+    line is the header."""
     try:
         text = path.read_text(encoding="utf-8-sig")
     except OSError as error:
@@ -230,7 +233,7 @@ def _row(
     places: Sequence[_Place],
     outside: dict[str, list[float]],
 ) -> tuple[list[float], str | None]:
-    """Return the numbers of a row, and the reason if it is unusable.
+    """Return the numbers of a row, and the reason if the row is unusable (otherwise None).
 
     Values out of range are appended to ``outside``.
     """

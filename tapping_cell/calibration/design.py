@@ -2,11 +2,11 @@
 
 A run repeats taps with one striker speed and one incidence (section 3.1 of the paper has four runs
 of ten trials). Taps with a small incidence, whose contact sticks, determine the impact constants.
-Taps with a large incidence, whose contact slides throughout, determine the contact friction. Two
-speeds show which effects depend on the speed. The start pose varies on purpose: an object in the
-middle of the table is tapped outwards, in a different direction each time, and an object elsewhere
-is tapped back to the middle. The effect of the table's tilt therefore cancels in each pair of
-trials, and an operator does not have to return the object.
+Taps with a large incidence, whose contact slides during the whole impact, determine the contact
+friction. Two speeds show which effects depend on the speed. The start pose is varied on purpose: if
+the object is in the middle of the table, it is tapped outwards, in a different direction each time;
+if it is elsewhere, it is tapped back to the middle. The effect of the table's tilt therefore
+cancels in each pair of trials, and an operator does not have to return the object.
 """
 
 from __future__ import annotations
@@ -33,17 +33,17 @@ SPEEDS = (0.75, 1.1)
 of a camera at 30 Hz."""
 INCIDENCES = (math.radians(20.0), math.radians(-45.0))
 """One incidence at which the contact sticks and one at which it slides, for contact frictions near
-0.2. Their signs differ, so that the object's rotations and the effects of a constant error of the
-arm's angle cancel over the trials.
+0.2. The signs of the two incidences differ, so that the object's rotations and the effects of a
+constant error of the arm's angle cancel over the trials.
 """
 TRIALS = 10
 
 NEAR_MIDDLE = 0.030
-"""Distance from the table's middle, m, within which an object is tapped outwards."""
+"""Distance from the table's middle, in m, within which an object is tapped outwards."""
 FAN = math.radians(137.507764)
 """Golden angle: steps of this angle give evenly spread directions for any number of trials."""
 ATTEMPTS = 2
-"""Maximum number of taps per requested trial; a run that needs more is given up."""
+"""Maximum number of taps per requested trial; a run that needs more taps is abandoned."""
 MISSED = 0.1
 """Fraction of the expected displacement below which a tap counts as missed."""
 
@@ -108,7 +108,8 @@ def progress(design: Design, trials: Iterable[Trial]) -> dict[int, Progress]:
 
 
 def given_up(design: Design, far: Progress) -> bool:
-    """Return whether a run has used all its attempts without reaching its number of trials."""
+    """Return whether a run has used all its attempts without reaching the requested number of
+    usable trials."""
     return far.made >= ATTEMPTS * design.trials and far.used < design.trials
 
 
@@ -133,7 +134,7 @@ def contact_of(tap: Tap, start: Pose, tip: Pose, striker_speed: float) -> tuple[
 
 
 def judged(trial: Trial, header: ExperimentFile, expected: float) -> Trial:
-    """Return the trial with the outcome that its motion shows (see ``trials.OUTCOMES``).
+    """Return the trial with the outcome that follows from its motion (see ``trials.OUTCOMES``).
 
     ``expected`` is the expected displacement in m. The outcome of a lost trial (no pose after the
     tap) is unchanged.

@@ -23,7 +23,7 @@ from tapping_cell.se2 import Array
 
 _MIN_SCATTER_TRIALS = 8
 _KEYS = ("friction", "torque_factor", "restitution", "contact_friction", "smallest_tap")
-"""Keys of the object file that have the name of their estimate."""
+"""Keys of the object file whose names equal the names of their estimates."""
 _UNKNOWN = 0.5  # relative standard deviation above which a value counts as not determined
 
 
@@ -144,9 +144,9 @@ def scatter_estimates(
     """Estimate the scatter of launches (speed, spin, direction) and displacements.
 
     The scatter of distance and rotation includes the model's prediction ``errors``, because a
-    planner must expect both scatter and model error. If small taps scatter more, relative to their
-    size, than large ones, the scatter is divided into a part proportional to the size and a
-    constant floor.
+    planner must expect both scatter and model error. If the scatter of small taps, relative to
+    their size, is larger than that of large taps, the scatter is divided into a part proportional
+    to the size and a constant floor.
     """
     expected = {entry.quantity: entry.total for entry in errors}
     place, angle = _parts(taps.measured, taps.predicted, impact, runs)
@@ -230,8 +230,8 @@ def _parts(
 def _within(off: Array, runs: NDArray[np.int_]) -> Array:
     """Return the deviation of each tap from the mean of its run; NaN if the run has only one tap.
 
-    Subtracting the mean of n taps reduces the variance by the factor (n - 1) / n, so the deviations
-    are scaled up accordingly.
+    Subtracting the mean of n taps multiplies the variance by (n - 1) / n, so the deviations are
+    scaled up accordingly.
     """
     made = np.full(off.size, math.nan)
     for run in np.unique(runs):

@@ -34,8 +34,8 @@ class StrikerSection:
 
 @dataclass(frozen=True, slots=True)
 class ExperimentFile:
-    """Header of the records. Its standard deviations apply to rows and track samples that do not
-    give their own."""
+    """Header of the records. Its standard deviations apply to rows and track samples without
+    standard deviations of their own."""
 
     format: int = quantity("version of the format", "", 1, 1)
     made: str = text("date and time, ISO 8601")
@@ -89,7 +89,8 @@ class Experiment(NamedTuple):
 def read_experiment(place: Path | str) -> Experiment:
     """Read the experiment in a folder, or one CSV file with the header in the same folder.
 
-    Without a header, object and striker are None, and standard deviations have default values.
+    Without a header file, object and striker are None, and the standard deviations have default
+    values.
 
     Raises:
         RecordError: the records cannot be used (see ``read_trials``).

@@ -1,4 +1,4 @@
-"""A CSV file to which each measurement is appended immediately, so that none is lost."""
+"""A CSV file to which each measurement is appended immediately, so that no measurement is lost."""
 
 from __future__ import annotations
 

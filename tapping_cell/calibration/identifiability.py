@@ -1,11 +1,11 @@
 """Analysis of which parameters the trials determine, and which further taps would determine more.
 
 The Fisher information of the launches is the sum of their squared derivatives with respect to the
-parameters, divided by the variance of a tap. It is computed for all parameters, including those
-that the fit keeps fixed. A parameter is not determined if, with all others free, its relative
-standard deviation is too large. Eigenvectors with small eigenvalues are combinations of parameters
-that are not determined. The information of candidate experiments is added to that of the trials,
-and the best candidate is recommended.
+parameters, divided by the variance of a tap. The information is computed for all parameters,
+including those that the fit keeps fixed. A parameter is not determined if, with all other
+parameters free, its relative standard deviation is too large. Eigenvectors with small eigenvalues
+are combinations of parameters that are not determined. The information of candidate experiments is
+added to that of the trials, and the best candidate is recommended.
 """
 
 from __future__ import annotations
@@ -91,8 +91,8 @@ def _information(
 
 
 def _deviations(information: Array, values: Mapping[str, float]) -> tuple[Array, Array]:
-    """Compute relative standard deviations (p,), first with the other parameters known, then with
-    all free."""
+    """Return two arrays of relative standard deviations (p,): with the other parameters known, and
+    with all parameters free."""
     restitution = values["restitution"]
     to_relative = np.ones(len(information))
     to_relative[0] = (1 + restitution) / max(restitution, 1e-3)

@@ -1,13 +1,14 @@
 """Fit of restitution, contact friction and the scales of the impact constants B1, B2 and B3 to
 measured launches.
 
-A trial gives the striker's speed, contact point, incidence and launch: speed, spin over speed, and
-direction relative to the contact normal. The residuals of the impact model (``mechanics.impact``)
-are divided by the scatter of a tap. This scatter is estimated together with the parameters.
+A trial gives the striker's speed, the contact point, the incidence and the launch. The launch
+consists of speed, spin over speed, and direction relative to the contact normal. The residuals of
+the impact model (``mechanics.impact``) are divided by the scatter of a tap. This scatter is
+estimated together with the parameters.
 
 The data decide which parameters are free. Restitution is free, and contact friction is free if the
 contact slid in enough trials. The scale of B1 (and that of B3, if B3 differs between the trials) is
-free only if the Bayesian information criterion supports it. B2 and the restitution only act in
+free only if the Bayesian information criterion supports it. B2 and the restitution e act only in
 combination, as (1 + e) / B2. Therefore B2 keeps its model value. B2 is fitted instead of the
 restitution only if no restitution from 0 to 1 explains the launches.
 """
@@ -25,7 +26,8 @@ from scipy.optimize import least_squares
 from tapping_cell.mechanics import Body, Impact, Striker
 from tapping_cell.se2 import Array
 
-# All parameters of the impact. Restitution is fitted as ln(1 + e), the others as logarithms.
+# All parameters of the impact. The restitution e is fitted as ln(1 + e), the other parameters as
+# logarithms.
 NAMES = ("restitution", "contact_friction", "scale_b1", "scale_b2", "scale_b3")
 _LOW = dict(zip(NAMES, (0.0, math.log(0.005), *(math.log(0.05),) * 3), strict=True))
 _HIGH = dict(zip(NAMES, (math.log(2.0), math.log(2.0), *(math.log(20.0),) * 3), strict=True))
@@ -44,8 +46,8 @@ class Strikes:
     """Impacts and the resulting launches: arrays (n,), SI.
 
     ``contact`` (n, 2) is (c_n, c_t) of ``Impact.strike``. ``angle`` is the angle of the launch from
-    the contact normal in rad, NaN if not measured. Standard deviations are those of the
-    measurement, without the scatter of a tap.
+    the contact normal in rad, NaN if not measured. The standard deviations are those of the
+    measurement and do not include the scatter of a tap.
     """
 
     speed: Array
@@ -70,8 +72,9 @@ class ImpactFit:
 
     ``score`` (n, p) and ``information`` (n, p, p) refer to the logarithms of the free parameters
     (ln(1 + e) for the restitution). ``scatter`` holds the standard deviations of a tap: speed and
-    spin over speed (relative), direction (rad). ``sliding`` (n,) is true if the contact slid to the
-    end. ``deviations`` (n, 3) are relative residuals (for the direction, residuals in rad).
+    spin over speed (relative), direction (rad). ``sliding`` (n,) is True for a contact that slid
+    until the end of the impact. ``deviations`` (n, 3) are the residuals of speed and spin over
+    speed (relative) and of the direction (rad).
     """
 
     values: Mapping[str, float]
@@ -188,7 +191,7 @@ class ImpactModel:
         return ImpactModel(strikes, self._body, self._striker, self.known)
 
     def rebound(self, values: Mapping[str, float]) -> Array:
-        """Compute the striker's speed (n,) along the contact normal after the impact, m/s.
+        """Compute the striker's speed (n,) along the contact normal after the impact, in m/s.
 
         As in the paper, restitution is a ratio of relative speeds: the striker's speed is the speed
         of the body's contact point minus e times the approach speed.
@@ -224,8 +227,8 @@ def _fit(model: ImpactModel, free: tuple[str, ...]) -> _Fit:
     """Fit by weighted least squares, re-estimating the scatter after each pass.
 
     The weights are fixed during a pass. If the weights changed with the parameters, the fit could
-    reduce the weighted residuals by predicting larger values, because these have a larger assumed
-    scatter.
+    reduce the weighted residuals by predicting larger values, because larger values have a larger
+    assumed scatter.
     """
     low = np.array([_LOW[name] for name in free])
     high = np.array([_HIGH[name] for name in free])
@@ -270,8 +273,8 @@ def _fit(model: ImpactModel, free: tuple[str, ...]) -> _Fit:
 def _scatter(
     model: ImpactModel, off: Array, launch: Array, used: int
 ) -> tuple[float, float, float]:
-    """Estimate the scatter of a tap: its variance is the variance of the residuals minus that of
-    the measurement."""
+    """Estimate the scatter of a tap. Its variance is the variance of the residuals minus the
+    variance of the measurement."""
     measured = model.measured_std()
     size = _sizes(launch)
     values = []
@@ -292,10 +295,10 @@ def _scatter(
 
 
 def _without_friction(model: ImpactModel, base: _Fit, stuck: _Fit, notes: list[str]) -> ImpactModel:
-    """Fix the contact friction, because contacts that stick explain the launches as well as
-    contacts that slide. The file's friction is kept unless it explains the launches worse than
-    contacts that stick. The launches give no bound on the friction, because an error elsewhere in
-    the model can make sliding contacts appear to stick.
+    """Fix the contact friction, because contacts that stick explain the launches no worse than
+    contacts that slide. The file's friction is kept, except if it explains the launches worse than
+    contacts that stick do. The launches do not give a bound on the friction, because an error
+    elsewhere in the model can make sliding contacts appear to stick.
     """
     known = model.known["contact_friction"]
     sentence = (

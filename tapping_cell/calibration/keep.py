@@ -1,11 +1,12 @@
-"""Writing of calibrated files without accidental loss of an existing or a better file.
+"""Writing of calibrated files without accidental loss of an existing file, in particular of a
+better one.
 
 1. If there is no file, the new file is written.
-2. If there is a file, writing is refused unless ``force`` is given.
-3. With ``force``, the record of the old file is compared with the new record if the same command
-   made both. If the old residual or uncertainty is smaller, writing is refused unless
-   ``accept_worse`` is given. A file without a record of this command (written by hand, for example)
-   cannot be compared, and ``force`` replaces it.
+2. If there is a file, it is replaced only if ``force`` is given.
+3. With ``force``, the calibration record in the old file is compared with the new record if the
+   same command made both records. If the old residual or uncertainty is smaller, the file is
+   replaced only if ``accept_worse`` is given. A file without a record of this command (written by
+   hand, for example) cannot be compared, and ``force`` replaces it.
 
 Before the new text replaces the old file, the nodes' reader checks it. A text that this reader
 rejects is never written.
@@ -24,8 +25,8 @@ from tapping_cell.configuration.provenance import Provenance, read_provenance
 from tapping_cell.configuration.schema import ConfigurationError
 
 _SLACK = 1.01
-"""Ratio of the new to the old value above which the new file counts as worse. It is above 1 because
-values in files are rounded and repeated fits differ slightly."""
+"""Ratio of the new to the old value above which the new file counts as worse. The limit is above 1
+because values in files are rounded and repeated fits differ slightly."""
 
 
 class KeptFile(ValueError):
@@ -96,8 +97,8 @@ def refuse_better(output: Output, new: Provenance) -> None:
 def write_kept(output: Output, text: str, new: Provenance, read: Callable[[Path], object]) -> None:
     """Write ``text``, which includes the calibration record ``new``, by the rules of this module.
 
-    ``read`` is the function with which the nodes read such files. It first reads a draft of the
-    file; if it rejects the draft, the file is not written.
+    ``read`` is the function with which the nodes read such files. This function first reads a draft
+    of the file; if it rejects the draft, the file is not written.
 
     Raises:
         KeptFile: an existing file is kept.

@@ -1,10 +1,10 @@
 """Fit of friction, torque factor and scatter of an object to the taps of ordinary goals.
 
 A tap planned with the mechanics of an object file launches the object with a known velocity and
-spin. The measured displacement then determines friction and torque factor. Both are fitted to all
-taps jointly by robust least squares. Restitution and contact friction are kept from the file. The
-fitted friction compensates for their errors, so that it may differ from the true friction but
-predicts the taps of this cell accurately.
+spin. The measured displacement then determines friction and torque factor. These two values are
+fitted to all taps jointly by robust least squares. Restitution and contact friction are kept from
+the file. The fitted friction compensates for errors of these two values. It may therefore differ
+from the true friction, but it predicts the taps of this cell accurately.
 """
 
 from __future__ import annotations
@@ -34,7 +34,8 @@ _DISTANCE, _ROTATION, _SLOPE = 0.05, 0.15, 0.1
 relative to distance and rotation. ``_SLOPE`` is the standard deviation of the rotation per
 distance, in rad/m, for taps that hardly rotate the object."""
 _OUTLIER = 5.0
-"""Number of standard deviations above which a tap is an outlier, such as a collision or a miss."""
+"""Number of standard deviations above which a tap is an outlier, for example due to a collision or
+a miss."""
 _BOUNDS = (np.log([0.01, 0.05]), np.log([2.0, 20.0]))
 _UNKNOWN = 0.5
 """Relative standard deviation at or above which the torque factor counts as not determined."""
@@ -161,7 +162,8 @@ def learning_record(learnt: LearntObject, inputs: Sequence[Path]) -> Provenance:
 
 
 def _errors(predicted: Array, measured: Array) -> tuple[Array, Array, Array]:
-    """Compute relative errors of distance and rotation, and errors of the direction in rad."""
+    """Compute the relative errors of distance and rotation, and the errors of the direction in
+    rad."""
     length = np.hypot(predicted[:, 0], predicted[:, 1])
     moved = np.hypot(measured[:, 0], measured[:, 1])
     distance = np.log(moved / length)

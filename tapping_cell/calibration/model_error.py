@@ -29,11 +29,11 @@ _SIGNIFICANT = 0.001
 """Significance level of one test; six tests are made for each fit."""
 _MIN_TRIALS = 8
 _FLOOR = {"distance": 0.005, "rotation": 0.01}
-"""Relative standard deviations that are negligible in practice; the scatter is assumed to be at
-least this large, so that smaller model errors are not reported."""
+"""Relative standard deviations that are negligible in practice. The scatter is assumed to be at
+least as large as these values, so that smaller model errors are not reported."""
 _MIN_TURN = 0.2
-"""Minimum rotation per distance, in rad/m, for which a relative rotation error is meaningful; 0.2
-degrees for 17 mm."""
+"""Minimum rotation per distance, in rad/m, for which a relative rotation error is meaningful (equal
+to 0.2 degrees in 17 mm)."""
 _CAUSES = {
     "setting": "from run to run, that is, with the striker's speed and the incidence.",
     "place": "with the contact point on the object. Is the centre of mass or of friction off "
@@ -88,7 +88,8 @@ class Taps:
     """Measured taps with the model's predictions, arrays (n,).
 
     ``runs`` is the run of each tap. ``contact`` is the direction of the contact point in the object
-    frame, and ``direction`` is that of travel in ``table``, in rad; both are NaN if unknown.
+    frame, and ``direction`` is the direction of travel in ``table``. Both are in rad, and NaN if
+    unknown.
     """
 
     measured: Launches
@@ -126,8 +127,8 @@ def lack_of_fit(taps: Taps) -> tuple[Misfit, ...]:
         # this, so its p-value is slightly too large.
         found.append(_by_setting(quantity, off[known], runs[known]))
         # A disturbance that turns the object counterclockwise makes counterclockwise rotations
-        # larger and clockwise ones smaller. Multiplying the relative deviations by the sign of the
-        # rotation gives both the same sign.
+        # larger and clockwise rotations smaller. After multiplication by the sign of the rotation,
+        # the relative deviations of both kinds of rotation have the same sign.
         sign = np.sign(taps.predicted.rotation) if quantity == "rotation" else 1.0
         for cause, angle, orders in (
             ("place", taps.contact, (1,)),

@@ -1,12 +1,13 @@
 """Calibration of the line and speed of each fixed tapper from single taps measured by the camera.
 
 A tap gives three numbers: the object's direction of travel, its rotation per distance and its
-distance. The direction and the rotation depend on the offset and angle of the tapper's line, the
-distance on the speed. Three unknowns per tapper (offset of the line to the left in m, angle of the
-line in rad, and logarithm of the speed factor) are fitted to all of its taps by least squares. The
-weights come from the tap's scatter and the camera's noise, and the soft-l1 loss reduces the effect
-of outliers. Taps at one position of the object determine the line's offset at this position. To
-determine the line's angle, taps at several positions along the line are needed.
+distance. The direction and the rotation depend on the offset and angle of the tapper's line, and
+the distance depends on the striker's speed. For each tapper, three unknowns (offset of the line to
+the left in m, angle of the line in rad, and logarithm of the speed factor) are fitted to all taps
+of this tapper by least squares. The weights come from the tap's scatter and the camera's noise, and
+the soft-l1 loss reduces the effect of outliers. Taps at one position of the object determine the
+line's offset at this position. To determine the line's angle, taps at several positions along the
+line are needed.
 """
 
 from __future__ import annotations
@@ -36,15 +37,16 @@ MIN_TAPS = 4
 """Minimum number of usable taps of each tapper."""
 
 MIN_MOVE = 0.003
-"""Minimum displacement of a usable tap, m; in shorter taps the camera's noise dominates."""
+"""Minimum displacement of a usable tap, in m. For smaller displacements, the camera's noise is the
+largest error."""
 
 WIDEST = np.array([0.003, math.radians(2.0), 0.5])
 """Prior standard deviations of the three unknowns (m, rad, relative), for mounts set up with ruler
 and protractor."""
 
 MAX_DEVIATION = 0.0003
-"""Maximum standard deviation of the line's offset at the object, m, for planning with the fitted
-line."""
+"""Maximum standard deviation, in m, of the line's offset at the object, up to which the fitted line
+may be used for planning."""
 
 
 @dataclass(frozen=True, slots=True)

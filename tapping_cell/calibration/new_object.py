@@ -26,8 +26,8 @@ RESTITUTION, CONTACT_FRICTION = 0.6, 0.2
 fitted friction compensates for errors of these values."""
 DENSITY = 1500.0
 """Density in kg/m^3, between wood and aluminium, for objects of unknown mass. A wrong mass gives a
-wrong launch speed; when the object is learnt from taps, the fitted friction compensates for this
-too."""
+wrong launch speed. When the object is learnt from taps, the fitted friction also compensates for
+this error."""
 
 
 def new_object(

@@ -31,7 +31,7 @@ def fitted_object(fit: ObjectFit, record: Provenance) -> ObjectFile:
 
 
 def fit_record(fit: ObjectFit, inputs: Sequence[Path]) -> Provenance:
-    """Create the record of the fit, which includes the figures that are compared with later
+    """Create the record of the fit. It contains the values that are compared with those of later
     fits."""
     off = fit.by_sliding.distance / fit.measured.distance - 1
     torque = fit.estimate("torque_factor")

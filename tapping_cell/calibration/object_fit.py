@@ -172,8 +172,8 @@ def _check_range(slide: SlideFit) -> None:
 
 
 def _labels(used: Sequence[Used]) -> list[str]:
-    """Return the name of each trial's run, preceded by the folder's number if there are several
-    folders."""
+    """Return the name of each trial's run. If there are several folders, the number of the folder
+    precedes the name."""
     folders = list(dict.fromkeys(run_of(entry.trial)[0] for entry in used))
     several = len(folders) > 1
     return [
@@ -221,8 +221,8 @@ def _striker(experiments: Sequence[Experiment]) -> Striker | None:
 
 
 def predict(fit: ObjectFit, experiments: Sequence[Experiment]) -> tuple[RunErrors, ...]:
-    """Compute, for each run of ``experiments`` that were not used in the fit, the relative errors
-    of the fit's predictions.
+    """Compute the relative errors of the fit's predictions for each run of ``experiments``. These
+    experiments must not have been used in the fit.
 
     Raises:
         RecordError: the records cannot be used.
@@ -235,7 +235,8 @@ def predict(fit: ObjectFit, experiments: Sequence[Experiment]) -> tuple[RunError
 
 
 def predicted_taps(fit: ObjectFit, experiments: Sequence[Experiment]) -> Taps:
-    """Return the taps of ``experiments`` that were not used in the fit, with the fit's predictions.
+    """Return the taps of ``experiments`` with the fit's predictions. These experiments must not
+    have been used in the fit.
 
     Raises:
         RecordError: the records cannot be used, or the impact was not fitted.
@@ -252,7 +253,8 @@ def predicted_taps(fit: ObjectFit, experiments: Sequence[Experiment]) -> Taps:
 
 class _Unseen(NamedTuple):
     """Trials that were not used in a fit, their launches, and their strikes with the fitted impact
-    model; None if the impact was not fitted or no ``experiment.yaml`` describes the striker."""
+    model. The last item is None if the impact was not fitted or no ``experiment.yaml`` describes
+    the striker."""
 
     used: tuple[Used, ...]
     measured: Launches
@@ -414,9 +416,8 @@ def _taps(
 
 
 def _inflation(misfits: Sequence[Misfit]) -> float:
-    """Return the factor by which intervals widen if the runs do not fit the model (Birge 1932).
-
-    In this case the runs, not the single taps, count as independent samples.
+    """Return the factor by which intervals are widened if the runs do not fit the model (Birge
+    1932). In this case the runs, not the single taps, count as independent samples.
     """
     ratios = [misfit.inflation for misfit in misfits if misfit.cause == "setting"]
     return math.sqrt(max([1.0, *ratios]))

@@ -1,8 +1,8 @@
 """Fit of friction and torque factor by the paper's criterion (section 3.1.2), for comparison.
 
-In each run, the difference between the measured initial velocities and those calculated from the
-displacements is averaged over the trials. The criterion is the sum of the squares of these
-averages. Spins are positive in the direction of the rotation and multiplied by the support's
+In each run, the differences between the measured initial velocities and the velocities calculated
+from the displacements are averaged over the trials. The criterion is the sum of the squares of
+these averages. Spins are positive in the direction of the rotation and multiplied by the support's
 radius, so that all differences are speeds. Averaging cancels the noise of single trials but ignores
 how accurate each trial is, so this fit is less accurate than that of ``object_fit``.
 """

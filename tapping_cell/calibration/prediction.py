@@ -3,9 +3,9 @@
 There are four comparisons. For sliding alone, displacements are calculated from the measured
 initial velocities, and vice versa. For the impact alone, initial velocities are calculated from the
 striker's speed and the incidence. For the whole tap, displacements are calculated from these
-velocities. The error of a run is the ratio of the calculated mean to the measured mean, minus 1.
-Rotations and spins are positive in the direction in which the object turned, so that taps that
-rotate the object in opposite senses do not cancel in the mean.
+calculated velocities. The error of a run is the ratio of the calculated mean to the measured mean,
+minus 1. Rotations and spins are positive in the direction in which the object turned, so that taps
+that rotate the object in opposite senses do not cancel in the mean.
 """
 
 from __future__ import annotations

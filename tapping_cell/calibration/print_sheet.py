@@ -69,7 +69,7 @@ def paper_size(name: str) -> tuple[float, float]:
     """Return width and height in m of a paper such as ``a4``, or of ``900x600`` in mm.
 
     Raises:
-        SheetError: the name is unknown, or the size is outside 100 to 5000 mm.
+        SheetError: the name is unknown, or a side is not between 100 and 5000 mm long.
     """
     if name.lower() in PAPERS:
         return PAPERS[name.lower()]
@@ -216,8 +216,8 @@ def _refuse_too_small(paper: tuple[float, float], references: ReferenceMap) -> N
 def object_page(
     paper: tuple[float, float], ids: Sequence[int], size: float, dictionary: str
 ) -> Page:
-    """Lay out object markers in rows. Each is in a square, with a white border, that is to be cut
-    out.
+    """Lay out object markers in rows. Each marker, with its white border, is in a square that is to
+    be cut out.
 
     Raises:
         SheetError: the markers do not fit.

@@ -2,9 +2,9 @@
 
 The deviations of series k are assumed to be normally distributed; the variance for a tap of size L
 is (share_k L)^2 + floor^2. Shares and floor are maximum likelihood estimates. The floor is kept
-only if a likelihood ratio test shows that it is not zero. As zero is the edge of the floor's range,
-the p-value is half of that of chi-squared with one degree of freedom (Self and Liang, JASA 82,
-1987).
+only if a likelihood ratio test shows that it is not zero. Because zero is the limit of the floor's
+range, the p-value is half of the p-value of the chi-squared distribution with one degree of freedom
+(Self and Liang, JASA 82, 1987).
 """
 
 from __future__ import annotations

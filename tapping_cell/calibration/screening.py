@@ -27,8 +27,8 @@ _MIN_MOTION = 0.0002  # m
 _MIN_SPEED = 0.02  # m/s; at a friction of 0.2 the object slides 0.1 mm
 _FRICTION = (0.005, 5.0)
 # Plausible range of the ratio 2 (spin / speed) / (rotation / distance), with spin and speed at
-# launch. The ratio is about 1 + gamma kappa / 4; the range contains it for torque factors kappa of
-# up to 20, with tolerance for noise.
+# launch. The ratio is about 1 + gamma kappa / 4. The range contains the ratios of all torque
+# factors kappa of up to 20, with a tolerance for noise.
 _SPIN_GAIN = (0.3, 30.0)
 # range of launch speed over striker speed; the ratio is 2 for an elastic impact of a heavy striker
 _STRIKER_GAIN = (0.01, 2.5)
@@ -137,8 +137,8 @@ def _judge(trial: Trial, header: ExperimentFile, body: Body, gravity: float) -> 
     rejection = _against_poses(trial, spread, turn_spread)
     if rejection is not None:
         return rejection
-    # A high initial speed without displacement indicates a wrong unit, not a miss. It is handled
-    # below.
+    # A high initial speed without displacement indicates a wrong unit, not a miss. This case is
+    # handled below.
     still = not trial.initial_speed > _MIN_SPEED
     if still and trial.displacement < max(_MIN_MOTION, _OTHER_NOISE * spread):
         return Rejection(
@@ -269,8 +269,8 @@ def _from_track(
     )
     if isinstance(slide, Rejection):
         return slide
-    # If the displacement or the rotation was not recorded, it is taken from the two ends of the
-    # track.
+    # If displacement or rotation is not recorded, the value between the two ends of the track is
+    # used.
     displacement, rotation = (
         _or(trial.displacement, slide.displacement),
         _or(trial.rotation, slide.turned),

@@ -53,7 +53,8 @@ class NormalEquations(NamedTuple):
 
 Linearise = Callable[[Estimate], NormalEquations]
 Limit = Callable[[Estimate, Estimate], Estimate]
-"""Function of a new and the previous estimate that limits the new one to the valid range."""
+"""Function of a new and the previous estimate. It returns the new estimate, limited to the valid
+range."""
 
 
 def normal_equations(cost: float, hessian: Array, gradient: Array, local: int) -> NormalEquations:

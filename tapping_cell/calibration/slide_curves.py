@@ -1,11 +1,12 @@
 """Fast computation of slides over time for fits: states of many launches at many times.
 
-The equations and tables are those of ``mechanics.sliding``, arranged for fits, which need a few
-samples of each of many slides while the parameters change. Slides are self-similar: the ratio of
-spin to speed, as a function of the remaining time, follows one of two curves, above or below its
-terminal value. A table of these two curves is therefore sufficient for all launches. There is a
-table for each torque factor of a grid. Between the torque factors of the grid, values are
-interpolated, which also gives their derivatives with respect to the torque factor.
+The equations and tables are those of ``mechanics.sliding``, arranged for fits: a fit needs a few
+samples of each of many slides, for changing parameters. Slides are self-similar: the ratio of spin
+to speed, as a function of the remaining time, follows one of two curves: one above the terminal
+value of the ratio, one below this value. A table of these two curves is therefore sufficient for
+all launches. There is a table for each torque factor of a grid. Between the torque factors of the
+grid, values are interpolated. The interpolation also gives the derivatives of the values with
+respect to the torque factor.
 """
 
 from __future__ import annotations
@@ -27,7 +28,8 @@ FINE, COARSE = 0.02, 0.12
 """Spacing of the fine and the coarse tables in ln(torque factor). Their interpolation errors are
 3e-5 and 1e-3 of the rotation. A table takes a tenth of a second to compute, so a search starts with
 the coarse tables."""
-# largest magnitude of ln(R omega / v); beyond it, one of the two motions is negligible
+# largest magnitude of ln(R omega / v); beyond it, either the rotation or the translation is
+# negligible
 _FARTHEST = 14.0
 _NEAREST = -20.0  # ln of the smallest distance from the terminal ratio
 _KNOTS = 1000
@@ -53,7 +55,7 @@ class Slopes(NamedTuple):
 
 class _Curve:
     """Slides of one support at one Lambda (torque factor times gamma). Lengths are multiplied by mu
-    g, and spins are rim speeds."""
+    g, and spins are given as rim speeds."""
 
     def __init__(self, support: str, torque_ratio: float) -> None:
         self.table = SlideTable(support, torque_ratio)
@@ -69,8 +71,8 @@ class _Curve:
         width = _FARTHEST - sign * self._terminal
         if width < 1e-6:
             return np.zeros(0), np.zeros(0)
-        # Knots are dense near the terminal ratio, which is approached but never reached, and evenly
-        # spaced elsewhere.
+        # Knots are dense near the terminal ratio and evenly spaced elsewhere. The terminal ratio is
+        # approached but never reached.
         close = np.exp(np.linspace(_NEAREST, math.log(width), _KNOTS))
         away = np.union1d(close, np.arange(width, 0.0, -_SPACING))
         ratio = self._terminal + sign * away

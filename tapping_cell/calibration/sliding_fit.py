@@ -9,11 +9,11 @@ between two frames causes no error, and a small displacement is weighted by its 
 The fit minimises the squared residuals divided by their variances (``shared_least_squares.py``).
 This module defines the residuals and their derivatives.
 
-No object has an exactly uniform pressure distribution. If the centre of pressure is away from the
+No object has an exactly uniform pressure distribution. If the centre of pressure is not at the
 centre of mass, friction rotates the object by an amount that depends on the direction of travel. A
-distance of half a millimetre changes the rotation of the paper's disk by a fifth. The centre of
-pressure is therefore also fitted, to first order, if the direction of travel is known in the object
-frame.
+distance of half a millimetre between the two centres changes the rotation of the paper's disk by a
+fifth. The centre of pressure is therefore also fitted, to first order, if the direction of travel
+is known in the object frame.
 """
 
 from __future__ import annotations
@@ -50,11 +50,11 @@ _SHARED = 4
 _LOWEST = (math.log(0.003), math.log(TORQUE_FACTORS[0]), -0.3, -0.3)
 _HIGHEST = (math.log(5.0), math.log(TORQUE_FACTORS[1]), 0.3, 0.3)
 # Prior standard deviation of the centre of pressure over the support's radius; only worn or tilted
-# objects exceed it.
+# objects exceed this value.
 _CENTRE_STD = 0.05
 _STARTS = (0.6, 1.5, 3.5)
-# Prior standard deviation of ln(friction of a trial / shared friction) if it is estimated from this
-# trial alone.
+# Prior standard deviation of ln(friction of a trial / shared friction) if the friction of a trial
+# is estimated from this trial alone.
 _FREE = 0.3
 _MIN_SCATTER = 1e-4
 _NEAR_ONE = 1e-3
@@ -86,10 +86,10 @@ class SlideFit:
     """Result of the fit: values in SI, arrays with one entry for each trial.
 
     ``score`` (n, 4) and ``information`` (n, 4, 4) are the gradient and the curvature of half the
-    sum of squares of each trial; the bootstrap uses them. They refer to ln friction, ln torque
-    factor, and x and y of the centre of pressure over the radius, with the local parameters
-    eliminated. ``pressure_centre`` is in m in the object frame. ``speed``, ``spin`` and
-    ``own_friction`` (relative to ``friction``) are estimated from each trial alone.
+    sum of squares of each trial; the bootstrap uses them. Score and information refer to ln
+    friction, ln torque factor, and x and y of the centre of pressure over the radius, with the
+    local parameters eliminated. ``pressure_centre`` is in m in the object frame. ``speed``,
+    ``spin`` and ``own_friction`` (relative to ``friction``) are estimated from each trial alone.
     """
 
     friction: float
@@ -265,8 +265,8 @@ def _spread(values: Array) -> float:
 
 
 def _between(values: Array, deviations: Array) -> float:
-    """Estimate robustly the part of the standard deviation between trials that the measurement
-    noise does not explain."""
+    """Estimate robustly that part of the standard deviation between trials that is not explained by
+    the measurement noise."""
     known = np.isfinite(deviations) & (deviations < 0.5 * _FREE)
     if known.sum() < 4:
         return 0.0
@@ -302,8 +302,9 @@ def _misses(problem: _Problem, at: Estimate) -> _Misses:
         by_spin = (perturbed - value) / bump[rows]
         # If the launch velocity and the time are multiplied by c, distance and rotation are
         # multiplied by c^2. Euler's theorem therefore gives the derivative with respect to the
-        # speed. If the friction is multiplied by c, the distance, the rotation and the time until
-        # they are reached are divided by c, which gives the derivative with respect to ln friction.
+        # speed. If the friction is multiplied by c, the distance, the rotation and the time at
+        # which they are reached are divided by c. This gives the derivative with respect to ln
+        # friction.
         by_speed = (2 * value - finite_since * rate - spin[rows] * by_spin) / speed[rows]
         derivative[:, _IMPACT] = np.where(moving, -rate, 0.0)
         derivative[:, _SPEED], derivative[:, _SPIN] = by_speed, by_spin
@@ -345,8 +346,8 @@ def _linearised(problem: _Problem, at: Estimate, prior: float) -> NormalEquation
     cost += float(np.sum((local[:, _FRICTION] / prior) ** 2))
     for unused in (_IMPACT, _START, _ANGLE):
         hessian[~problem.tracked, unused, unused] += 1.0
-    # The prior of the centre of pressure is divided among the trials, so that their sum contains it
-    # once.
+    # The prior of the centre of pressure is divided among the trials, so that the sum over the
+    # trials contains it once.
     for index in (2, 3):
         hessian[:, _LOCAL + index, _LOCAL + index] += _CENTRE_STD**-2 / count
         gradient[:, _LOCAL + index] += at.shared[index] * _CENTRE_STD**-2 / count

@@ -29,10 +29,10 @@ from tapping_cell.vision.markers.detection import (
 from tapping_cell.vision.markers.edges import MarkerEdges, refine, straight_corners
 
 _LENS_NOISE = 0.03
-"""Standard deviation, in pixels, of a corner's position error from residual lens distortion."""
+"""Standard deviation, in pixels, of a corner's position error due to residual lens distortion."""
 _STRAY_RATIO, _STRAY_PIXELS = 5.0, 0.6
-"""A marker in an image is an outlier if its error exceeds this multiple of the median and this many
-pixels."""
+"""A marker in an image is an outlier if its error exceeds both this multiple of the median error
+and this number of pixels."""
 _STEPS = 60
 
 
@@ -110,10 +110,11 @@ def observe_markers(
 def _noise(edges: MarkerEdges) -> Array:
     """Compute the standard deviation (M,) of a corner in pixels.
 
-    The end of a line fitted to n points has 4 / n of the variance of one point. No points are
-    measured near the ends of a side, so a corner lies a tenth of the length beyond the points,
-    which increases the factor to 5.3 / n. The factor is even larger because the sides are not
-    perpendicular in the image. The factor used, 8 / n, was measured on rendered markers.
+    At the end of a line fitted to n points, the variance is 4 / n times the variance of one point.
+    No points are measured near the ends of a side, so a corner lies a tenth of the side's length
+    beyond the last point. This increases the factor to 5.3 / n. The factor is even larger because
+    the sides are not perpendicular in the image. The factor used, 8 / n, was measured on rendered
+    markers.
     """
     number = np.maximum(edges.weights.sum(axis=2).mean(axis=1), 4.0)
     return np.asarray(np.sqrt(8.0 / number) * np.maximum(edges.spread, 0.01))
@@ -131,7 +132,8 @@ def calibrate_table(
     ``sizes`` are in m by id; ``focal`` is the focal length in pixels.
 
     Raises:
-        CalibrationRefused: too few markers or images, or no image connects two parts of the map.
+        CalibrationRefused: there are too few markers or images, or no image connects two parts of
+        the map.
     """
     views = [view for view in views if len(view.ids) >= 2]
     if len(views) < 2:
@@ -183,7 +185,7 @@ def _without(
     dictionary: str,
     focal: float,
 ) -> TableCalibration:
-    """Repeat the calibration without a marker that is an outlier in every image."""
+    """Repeat the calibration without one marker, because it is an outlier in every image."""
     kept = [
         replace(v, ids=v.ids[own], rays=v.rays[own], noise=v.noise[own])
         for v, own in ((v, v.ids != marker) for v in views)
@@ -260,7 +262,7 @@ def _join(
     (M, 3) and the camera poses.
 
     Raises:
-        CalibrationRefused: an image has no marker in common with the others.
+        CalibrationRefused: an image has no marker in common with the other images.
     """
     maps: list[dict[int, Array]] = [
         dict(zip(view.ids.tolist(), poses, strict=True))
@@ -399,7 +401,7 @@ class _Problem:
     def covariance(self, poses: Sequence[CameraPose], markers: Array) -> Array:
         """Compute the markers' covariance (3 M, 3 M) relative to their common frame.
 
-        It is scaled up if the residuals exceed the assumed noise.
+        The covariance is scaled up if the residuals exceed the assumed noise.
         """
         matrix, _, cost = self._normal(poses, markers)
         split = 6 * self.images

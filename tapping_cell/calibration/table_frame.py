@@ -10,7 +10,8 @@ from tapping_cell.vision.markers.detection import ReferenceMap, ReferenceMarker
 
 
 def in_frame(references: ReferenceMap, frame: Array) -> ReferenceMap:
-    """Transform the markers to a frame whose pose (x, y, theta) in the old frame is ``frame``."""
+    """Transform the markers to a new frame. ``frame`` is the pose (x, y, theta) of the new frame in
+    the old one."""
     poses = compose(inverse(frame), _poses(references))
     return with_poses(references, poses, 1.0)
 

@@ -8,7 +8,7 @@ the striker's speed from the impact's ratio of launch to striker speed. The fitt
 which is the ideal drive (v ~ sqrt(E)) with a smooth deviation g. The deviation g is a Gaussian
 process. Several amplitudes and length scales of g are tried, and their curves are weighted by the
 marginal likelihood (Rasmussen and Williams, Gaussian Processes for Machine Learning, chapter 5).
-The level a has no prior, whereas g deviates from zero only as far as the data support it.
+The level a has no prior, whereas g differs from zero only as far as the data require.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ from tapping_cell.se2 import Array
 
 MIN_TAPS = 8
 SHARES = (8, 4, 3, 3, 4, 8)
-"""Distribution of 30 taps over six energies (equal steps in ln E). The ends of the range have more
-taps because only these taps determine the curve there."""
+"""Distribution of 30 taps over six energies (equal steps in ln E). The two ends of the range get
+more taps, because the curve at an end is determined only by the taps there."""
 POINTS = 8
 """Number of points of the resulting curve."""
 RECORD_COLUMNS = (
@@ -45,8 +45,9 @@ USUAL_DEVIATION = 1e-4
 _NO_MOTION = 0.0003
 """Displacement in m below which the object did not move (three times the camera's error)."""
 _SHORT, _NEIGHBOURS = 0.003, 5
-"""A tap without motion counts as too weak if the median displacement of the ``_NEIGHBOURS`` taps of
-most similar energy is below ``_SHORT`` m; otherwise it counts as a miss."""
+"""A tap that does not move the object counts as too weak if the median displacement of those
+``_NEIGHBOURS`` taps that moved the object and have the most similar energies is below ``_SHORT`` m;
+otherwise it counts as a miss."""
 _RELIABLE = 0.9
 """Fraction of the taps of one energy that must move the object for the energy to be reliable."""
 _OUTLIER = 4.5
@@ -58,8 +59,8 @@ _NOISES = 32
 _STRETCHES = (0.7, 1.4)
 """Candidate length scales of the deviation g, as fractions of the range of ln E. ``_AMPLITUDES``
 are the candidate standard deviations of g. Smaller amplitudes are not tried: losses and thresholds
-make every drive deviate from the ideal, and assuming too small a deviation costs more accuracy than
-it gains."""
+make every drive deviate from the ideal drive, and an assumed deviation that is too small costs more
+accuracy than it gains."""
 _ALIKE = 0.02
 """Relative difference up to which energies count as the same energy level."""
 
@@ -107,11 +108,11 @@ class TapperCalibration:
     """The calibrated curve and its quality.
 
     ``energies`` in J and ``speeds`` in m/s are increasing; ``deviations`` are relative standard
-    deviations of the speeds. ``scatter`` is the relative scatter of a tap's speed. ``least_energy``
-    in J and ``least_travel`` in m describe the smallest reliable tap. ``by_friction`` is the
-    relative change of all speeds if the friction in the object file changes, divided by the
-    relative change of the friction. ``by_restitution`` is the relative change of all speeds if the
-    restitution in the file changes, divided by the change of the restitution.
+    deviations of the speeds. ``scatter`` is the relative scatter of the speed from tap to tap.
+    ``least_energy`` in J and ``least_travel`` in m describe the smallest reliable tap.
+    ``by_friction`` is the relative change of all speeds if the friction in the object file changes,
+    divided by the relative change of the friction. ``by_restitution`` is the relative change of all
+    speeds if the restitution in the file changes, divided by the change of the restitution.
     """
 
     energies: tuple[float, ...]
@@ -187,8 +188,8 @@ def calibrate_tapper(record: TapRecord, tap: Tap) -> TapperCalibration:
         )
     while True:
         curve = _Curve(x[usable], y[usable], seen[usable])
-        # For the shortest displacements, the camera's noise is the largest error. It is included in
-        # the expected scatter, so that these taps are not rejected.
+        # For the shortest displacements, the camera's noise is the largest error. This noise is
+        # included in the expected scatter, so that taps with short displacements are not rejected.
         off = np.abs(y - curve.at(x)[0]) / np.hypot(1.0, seen / max(curve.noise, _FLOOR))
         spread = max(1.4826 * float(np.median(off[usable])), _FLOOR)
         strange = usable & (off > _OUTLIER * spread)
@@ -248,11 +249,11 @@ def _groups(energies: Array) -> NDArray[np.intp]:
 
 
 def _least(record: TapRecord, groups: NDArray[np.intp], moves: NDArray[np.bool_]) -> float:
-    """Return the lowest energy level, in J, that moves the object reliably and above which all
-    levels do so too.
+    """Return the lowest energy level, in J, such that this level and all higher levels move the
+    object reliably.
 
-    A tap that does not move the object was too weak only if taps of similar energy move the object
-    little. If they move it far, the tap missed and is ignored here.
+    A tap that does not move the object was too weak only if taps with similar energies move the
+    object little. If such taps move the object far, the tap missed and is ignored here.
     """
     if not moves.any():
         raise CalibrationRefused(
@@ -385,8 +386,8 @@ def _isotonic(values: Array) -> Array:
 
 
 def _propagation(record: TapRecord, tap: Tap, usable: NDArray[np.bool_]) -> tuple[float, float]:
-    """Compute, by finite differences, the relative change of the speeds per relative change of the
-    friction, and that per change of the restitution."""
+    """Compute two derivatives by finite differences: the relative change of the speeds per relative
+    change of the friction, and the relative change of the speeds per change of the restitution."""
     part = TapRecord(*(getattr(record, name)[usable] for name in TapRecord.__slots__))
     plain = striker_speeds(part, tap)
     step = 0.01

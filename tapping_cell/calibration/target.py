@@ -1,8 +1,9 @@
 """Detection of calibration targets (chessboards and ChArUco boards) in photographs.
 
-Corners are accurate to hundredths of a pixel, and a failed detection is explained. The origin of a
-board's frame is its top left inner corner, with x along a row to the right and y down the board.
-Corner ``k`` of a board of C x R squares is in row ``k // (C - 1)`` and column ``k % (C - 1)``.
+Corners are accurate to hundredths of a pixel. If the detection fails, the reason is returned. The
+origin of a board's frame is its top left inner corner, with x along a row to the right and y down
+the board. Corner ``k`` of a board of C x R squares is in row ``k // (C - 1)`` and column ``k % (C -
+1)``.
 """
 
 from __future__ import annotations
@@ -160,8 +161,8 @@ def find_target(image: Image, target: Target, name: str) -> TargetView | str:
 def _chessboard(image: Image, target: Target) -> tuple[NDArray[np.intp], Array] | str:
     """Detect all corners of a chessboard.
 
-    The sector-based detector (Duda and Frese 2018) is tried first, then the classic one, which
-    tolerates more perspective.
+    The sector-based detector (Duda and Frese 2018) is tried first. If it fails, the classic
+    detector is tried, which tolerates more perspective.
     """
     scale = max(1.0, image.shape[1] / _SEARCH_WIDTH)
     size = (round(image.shape[1] / scale), round(image.shape[0] / scale))

@@ -12,8 +12,8 @@ import numpy as np
 from tapping_cell.calibration.trials import Track, Trial
 from tapping_cell.se2 import Array
 
-# Samples that are closer to the start or the end of the slide than this fraction of the
-# displacement may be at rest.
+# A sample may be at rest if its distance from the start or the end of the slide is less than this
+# fraction of the displacement.
 _EDGE = 0.02
 _NOISE = 8.0  # standard deviations
 _MIN_MOTION = 0.0002  # m: minimum displacement
@@ -58,8 +58,8 @@ def slide_of(
 ) -> Slide | Rejection:
     """Extract the slide from a trial's track, or return the reason why the track is unusable.
 
-    ``position_std`` and ``rotation_std`` apply to samples that contain no standard deviations.
-    ``rate`` (Hz) and ``exposure`` (s) are those of the camera.
+    ``position_std`` (m) and ``rotation_std`` (rad) apply to samples without their own standard
+    deviations. ``rate`` (Hz) and ``exposure`` (s) are those of the camera.
     """
     track = trial.track
     if track is None or track.time.size < 4:

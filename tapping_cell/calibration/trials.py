@@ -7,8 +7,8 @@ A folder is one experiment::
     tracks/run_01_trial_03.csv    poses of the object over time, one file per trial (optional)
 
 The first line names the columns with their units: ``displacement_m`` or ``displacement_mm``. An
-empty cell means not measured. ``docs/calibration.md`` describes the columns. In memory all values
-are in SI units, and NaN means not measured.
+empty cell means that the value was not measured. ``docs/calibration.md`` describes the columns. In
+memory, all values are in SI units, and NaN means that the value was not measured.
 """
 
 from __future__ import annotations
@@ -32,7 +32,8 @@ OUTCOMES = ("ok", "missed", "disturbed", "lost")
 ``missed``: the striker missed. ``disturbed``: something else moved the object. ``lost``: the camera
 lost the object. Fits use only the trials with the outcome ``ok``."""
 
-# rad; most angles given in degrees by mistake exceed this limit or contradict other columns
+# rad; most angles that are given in degrees by mistake exceed this limit or contradict other
+# columns
 _TURNS = 100.0
 
 
@@ -58,7 +59,7 @@ class Track:
     """Poses of the object over time: arrays (n,), SI units, angles unwrapped.
 
     ``time`` is the middle of the exposure, with an arbitrary origin. The standard deviations are
-    those of the position along one axis and of the angle, NaN if unknown.
+    those of the position along one axis (m) and of the angle (rad), NaN if unknown.
     """
 
     time: Array
@@ -113,7 +114,8 @@ class Trial:
     row: int = field(default=0, compare=False)
 
     def left_out(self, reason: str, sentence: str) -> LeftOut:
-        """Return the rejection of this trial for a reason, a keyword and a sentence."""
+        """Return the rejection of this trial. The reason is given as a keyword (``reason``) and a
+        sentence."""
         return LeftOut(self.file, self.row, reason, sentence)
 
 
@@ -166,7 +168,7 @@ def read_trials(place: Path | str) -> Trials:
 
     Raises:
         RecordError: a file or a column is missing, many rows are out of range (wrong units), or a
-            trial is repeated.
+        trial occurs twice.
     """
     trials: list[Trial] = []
     left_out: list[LeftOut] = []
@@ -283,7 +285,7 @@ def track_name(run: int, trial: int) -> str:
 def append_trial(folder: Path, trial: Trial) -> None:
     """Write a trial's track, then append the trial to its run's file.
 
-    A crash between the two writes leaves a track without a row. Such a track is ignored, and
+    A crash between these two steps leaves a track without a row. Such a track is ignored, and it is
     overwritten when the trial is repeated. The run's file is replaced atomically, so that a crash
     leaves no empty or incomplete file. ``file`` and ``row`` of the trial are ignored.
 

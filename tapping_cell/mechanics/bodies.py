@@ -111,7 +111,7 @@ class Ring(_Round):
 
     @property
     def inertia(self) -> float:
-        """m R^2, in kg m^2."""
+        """Moment of inertia of a thin ring, m R^2, in kg m^2."""
         return self.mass * self.radius**2
 
 
@@ -119,10 +119,11 @@ class Ring(_Round):
 class Polygon(Body):
     """A uniform convex polygon supported on its whole face.
 
-    ``vertices`` (N, 2) in m may be in either order; they are stored counter-clockwise, with the
-    centre of mass as origin. ``mass`` is in kg and ``height`` in m. Raises
-    :class:`InvalidBodyError` for fewer than three vertices, a repeated vertex, a polygon that
-    crosses itself or is not convex, zero area, and values that are not finite and positive.
+    ``vertices`` (N, 2) in m may be in clockwise or counter-clockwise order; they are stored
+    counter-clockwise, with the centre of mass as origin. ``mass`` is in kg and ``height`` in m.
+    Raises :class:`InvalidBodyError` for fewer than three vertices, a repeated vertex, a polygon
+    that crosses itself or is not convex, zero area, and values that are not both finite and
+    positive.
     """
 
     vertices: tuple[tuple[float, float], ...]
@@ -183,9 +184,9 @@ class Polygon(Body):
     def equivalent_disk(self) -> Disk:
         """Return the disk of the same mass, height and radius of gyration.
 
-        For a square with R omega up to v, the disk's slide has errors of up to 1 % of the distance
-        and 4 % of the rotation, and it neglects a sideways drift of up to 1.5 % of the distance
-        (tested). For elongated shapes the disk is a poor approximation.
+        For a square whose R omega is at most v at the launch, the disk's slide has errors of up to
+        1 % of the distance and 4 % of the rotation, and it neglects a sideways drift of up to 1.5 %
+        of the distance (tested). For elongated shapes the disk is a poor approximation.
         """
         return Disk(self.support_radius, self.mass, self.height)
 
@@ -202,8 +203,8 @@ class Polygon(Body):
         return np.asarray(self.edge_normals[edge])
 
     def _exit(self, ray: Array) -> tuple[Array, NDArray[np.intp]]:
-        """Compute the distance at which rays from the centre leave the face, and the index of the
-        edge that they cross."""
+        """Compute the distances at which rays from the centre leave the face, and the indices of
+        the edges that they cross."""
         closing = ray @ self.edge_normals.T
         support = np.einsum("ij,ij->i", self.points, self.edge_normals)
         with np.errstate(divide="ignore"):

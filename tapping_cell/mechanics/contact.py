@@ -14,9 +14,9 @@ from tapping_cell.mechanics.planar import Array, cross, to_left
 class Contact(NamedTuple):
     """The first contact.
 
-    ``travel`` is the ball's travel until the contact in m, negative if the ball starts inside the
-    body. ``point`` (..., 2) is the contact point on the body in m, and ``normal`` (..., 2) points
-    into the body. If ``missed``, the other fields are arbitrary finite numbers.
+    ``travel`` is the ball's travel, in m, until the contact; it is negative if the ball starts
+    inside the body. ``point`` (..., 2) is the contact point on the body in m, and ``normal`` (...,
+    2) points into the body. If ``missed``, the other fields are arbitrary finite numbers.
     """
 
     missed: NDArray[np.bool_]
@@ -30,8 +30,8 @@ def first_contact(body: Body, tip_radius: float, start: Array, direction: Array)
     ``direction``.
 
     ``start`` and ``direction`` are (..., 2) in the body's frame; ``direction`` has unit length. If
-    the ball starts inside the body, the contact is where its line of travel enters the body, so the
-    travel is negative. A ball that is already past the body misses.
+    the ball starts inside the body, the contact is where the ball's line of travel enters the body,
+    so the travel is negative. A ball that is already past the body misses.
     """
     if isinstance(body, Polygon):
         return _polygon_contact(body, tip_radius, start, direction)

@@ -10,12 +10,12 @@ the striker is, along the normal (compression) and along the tangent (sliding),
 
     B1 = 1/m + c_n^2 / I + striker,  B2 = 1/m + c_t^2 / I + striker,  B3 = c_n c_t / I + striker
 
-where ``striker`` stands for a_t^2 / m_s, a_n^2 / m_s and -a_n a_t / m_s if the striker moves in
-linear bearings, and for 1 / m_s, 1 / m_s and 0 if it is free. Routh's method (Wang and Mason, J.
-Applied Mechanics 59, 1992) follows the impulse along the friction limit until sliding stops (S =
-0). It then continues along S = 0 if friction can prevent sliding, and otherwise along the opposite
-limit. Compression ends at C = 0. With Poisson's restitution e, the total normal impulse is 1 + e
-times the normal impulse of the compression.
+where ``striker`` is, in B1, B2 and B3 respectively, a_t^2 / m_s, a_n^2 / m_s and -a_n a_t / m_s if
+the striker moves in linear bearings, and 1 / m_s, 1 / m_s and 0 if it is free. Routh's method (Wang
+and Mason, J. Applied Mechanics 59, 1992) follows the impulse along the friction limit until sliding
+stops (S = 0). It then continues along S = 0 if friction can prevent sliding, and otherwise along
+the opposite limit. Compression ends at C = 0. With Poisson's restitution e, the total normal
+impulse is 1 + e times the normal impulse of the compression.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ _SLOPE_TOLERANCE = 1e-14
 class Striker:
     """The moving part of the tapper: ``mass`` in kg, and a ball of ``tip_radius`` in m at its tip.
 
-    ``constraint`` is ``"linear_bearings"`` (it can only move along its axis, as in the paper) or
+    ``constraint`` is ``"linear_bearings"`` (it can move only along its axis, as in the paper) or
     ``"free"``. Raises :class:`InvalidParameterError` for a mass that is not positive, a radius
     below 0 or another constraint.
     """
@@ -79,8 +79,8 @@ class ImpactResult(NamedTuple):
     """Result of an impact in the contact frame (n, t); every field has the shape of the input.
 
     ``normal_impulse`` and ``tangential_impulse`` on the body are in N s; ``velocity`` (..., 2) of
-    its centre of mass is in m/s and ``spin`` in rad/s. ``striker_velocity`` (..., 2) is in m/s.
-    ``sliding`` is the sign of S at the end, 0 if the contact sticks.
+    the body's centre of mass is in m/s and its ``spin`` in rad/s. ``striker_velocity`` (..., 2) is
+    in m/s. ``sliding`` is the sign of S at the end, 0 if the contact sticks.
     """
 
     normal_impulse: Array
@@ -136,8 +136,9 @@ class Impact:
         """Compute the maximum angle (rad) of the impulse to either side of the normal at
         ``contact``.
 
-        If the contact slides throughout the impact at ``LARGEST_INCIDENCE``, this is the arctangent
-        of the contact friction; otherwise it is smaller. ``contact`` (..., 2) is (c_n, c_t) in m.
+        If the contact slides throughout the impact at ``LARGEST_INCIDENCE``, the angle is the
+        arctangent of the contact friction; otherwise the angle is smaller. ``contact`` (..., 2) is
+        (c_n, c_t) in m.
         """
         c = np.asarray(contact, dtype=float)
         angle = np.full(c.shape[:-1], LARGEST_INCIDENCE)
@@ -179,8 +180,8 @@ class Impact:
         """Compute the impact of a striker at ``speed`` (m/s, 0 or more).
 
         ``incidence`` is the angle from the normal n to the striker's axis in rad, at most a right
-        angle. ``contact`` (..., 2) is (c_n, c_t) in m, (-R, 0) for a disk. Arguments broadcast.
-        Raises :class:`InvalidParameterError` for values out of range.
+        angle. ``contact`` (..., 2) is (c_n, c_t) in m: (-R, 0) for a disk of radius R. Arguments
+        broadcast. Raises :class:`InvalidParameterError` for values out of range.
         """
         v = finite("striker speed", speed, "m/s")
         angle = finite("incidence", incidence, "rad")
@@ -229,7 +230,8 @@ class Impact:
         return bracket.found.reshape(bracket.shape)
 
     def _bracket(self, impulse_slope: ArrayLike, contact: ArrayLike) -> _Bracket:
-        """Find a range of incidences that contains the one at which the impulse has this slope."""
+        """Find a range of incidences that contains the incidence at which the impulse has this
+        slope."""
         slope = np.asarray(impulse_slope, dtype=float)
         c = np.asarray(contact, dtype=float)
         shape = np.broadcast_shapes(slope.shape, c.shape[:-1])
@@ -249,8 +251,9 @@ class Impact:
         straight = np.zeros(slope.shape)
         e_straight = error(straight, _ALL)
         # For a sticking contact, the slope is linear in the tangent of the incidence. The other end
-        # of the bracket has 1.5 times the tangent of this linear estimate of the root. The largest
-        # incidence replaces this end if it is smaller or if the root is not between the ends.
+        # of the bracket has 1.5 times the tangent of this linear estimate of the root.
+        # ``LARGEST_INCIDENCE`` replaces this end if the end is beyond it or if the root is not
+        # between the two ends.
         b1, b2, _ = self.inverse_inertias(straight, c)
         other = np.arctan(-1.5 * (1 + self.restitution) * b1 / b2 * e_straight)
         e_other = error(other, _ALL)
@@ -274,7 +277,8 @@ class Impact:
         a_n, a_t = np.cos(incidence), np.sin(incidence)
         b1, b2, b3 = self.inverse_inertias(incidence, contact)
         mu = self.friction
-        # First phase: friction opposes the sliding, until it ends at the normal impulse p_stop.
+        # First phase: friction opposes the sliding, until the sliding ends at the normal impulse
+        # p_stop.
         direction = -np.sign(a_t)
         first = -direction * mu
         closing = direction * b3 + mu * b1
@@ -304,8 +308,8 @@ class _Bracket(NamedTuple):
     """Brackets as flat arrays.
 
     ``low`` and ``high`` are incidences on opposite sides of the root, ``e_low`` and ``e_high`` the
-    errors of the slope there, and ``found`` states whether there is a root between them. ``error``
-    computes the error of the slope from incidences and their row indices.
+    errors of the slope at these incidences, and ``found`` states whether there is a root between
+    them. ``error`` computes the error of the slope from incidences and their row indices.
     """
 
     shape: tuple[int, ...]
@@ -323,8 +327,8 @@ def _bracketed_root(
     """Find the roots (n,) of a function between ``low`` and ``high``, by Chandrupatla's method
     (1997).
 
-    ``function`` takes values and the rows to which they belong; rows that have converged are
-    omitted.
+    ``function`` takes values and the rows to which they belong. Rows that have converged are no
+    longer passed to it.
     """
     found = low.copy()
     rows: NDArray[np.intp] = np.arange(low.size)

@@ -26,8 +26,8 @@ def rotate(vector: Array, angle: Array) -> Array:
 
 
 def turn(planar: Array, angle: Array) -> Array:
-    """Rotate twists or displacements (..., 3) by ``angle`` (rad). The result also contains their
-    components in axes rotated by -angle."""
+    """Rotate twists or displacements (..., 3) by ``angle`` (rad). The result equals the components
+    of these vectors in axes rotated by -angle."""
     return np.concatenate([rotate(planar[..., :2], angle), planar[..., 2:]], axis=-1)
 
 

@@ -1,9 +1,9 @@
-"""Sliding of a convex polygon on uniform pressure, by integration in time.
+"""Sliding of a convex polygon with uniform pressure, by numerical integration.
 
 A polygon's friction depends on the direction of travel in the body, and the body rotates as it
-slides. A table in one variable, as for a round body, is therefore not enough. Friction has a closed
-form. With the instantaneous centre of rotation c, every point r moves at right angles to r - c, and
-over a face of area A
+slides. A table in one variable, as for a round body, is therefore not enough. The friction itself
+has a closed form. With the instantaneous centre of rotation c, every point r moves at right angles
+to r - c, and over a face of area A
 
     mean of (r - c) / |r - c|  = (1 / A) sum over edges of n J,   J = int |r - c| ds,
     mean of |r - c|            = (1 / 3 A) sum of d J,            d = (edge - c) . n,
@@ -188,8 +188,8 @@ class PolygonSlide:
         (m).
 
         The arguments are the velocities (n,) of the centre of mass in the body's axes and the spins
-        (n,); at least one of the three must not be zero. The friction force is -mu m g times the
-        first two means; the torque is -mu m g times the third.
+        (n,); at least one of the three must differ from zero. The friction force is -mu m g times
+        the first two means; the torque is -mu m g times the third.
         """
         speed = np.hypot(vx, vy)
         far = speed > _FAR * self._gyration * np.abs(spin)
@@ -238,7 +238,8 @@ class PolygonSlide:
         return ex * (1 + loss) - ey * turn, ey * (1 + loss) + ex * turn, moment
 
     def rates(self, unit: Array, angle: Array) -> tuple[Array, Array]:
-        """Compute the friction (3, n) on a body, and its component along the velocity.
+        """Compute the friction (3, n) on a body, and the component of this friction along the
+        velocity.
 
         ``unit`` is the velocity (vx, vy, gyration * omega), scaled to unit length, in the axes of
         the launch. The body has rotated by ``angle`` since the launch.
@@ -295,8 +296,8 @@ def runge_kutta(
     state: Array,
 ) -> tuple[Array, Array]:
     """Advance a unit vector (3, n) and a state (4, n) by one step of the classic Runge-Kutta
-    method. ``slope`` computes their derivatives from the place of the integration, which is ``at``
-    at the beginning of the step, and from the two."""
+    method. ``slope`` computes the derivatives of both from three arguments: the integration
+    variable (``at`` at the beginning of the step), the unit vector and the state."""
     a, p = slope(at, unit, state)
     b, q = slope(at + step / 2, unit + step / 2 * a, state + step / 2 * p)
     c, r = slope(at + step / 2, unit + step / 2 * b, state + step / 2 * q)
@@ -320,8 +321,8 @@ def invert(
     reduces its error further. Broyden's method may cycle at a kink of ``forward``, for example
     between two cells of a table; such rows are solved by a fixed-point iteration, which is slow but
     reliable. ``forward`` may jump at the solution, for example where its number of integration
-    steps changes; then rows within ``limit`` are accepted. Raises :class:`MechanicsError` if a row
-    does not converge.
+    steps changes; in this case, rows within ``limit`` are accepted. Raises :class:`MechanicsError`
+    if a row does not converge.
     """
     goal = target / scale
     z = goal.copy()

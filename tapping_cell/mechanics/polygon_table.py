@@ -1,22 +1,23 @@
 """Sliding of a polygon from a table: a million slides per second instead of thousands.
 
 In units of the radius of gyration rho and of the deceleration mu g, a slide depends on three
-numbers: the direction alpha of the launch in the body, the angle phi = atan(rho omega / v) of spin
-to speed, and the size s = N^2 / (mu g rho) with N^2 = v^2 + rho^2 omega^2. The size determines how
-much the body rotates while it slides. The table holds four functions of alpha, phi and s, in the
-axes of the launch:
+numbers: the direction alpha of the launch in the body, the angle phi = atan(rho omega / v) for the
+ratio of spin to speed, and the size s = N^2 / (mu g rho) with N^2 = v^2 + rho^2 omega^2. The size
+determines how much the body rotates while it slides. The table holds four functions of alpha, phi
+and s, in the axes of the launch:
 
     along = (N^2 / mu g) A,  left = (N^2 / mu g) L,
     rotation = (omega N / mu g) B,  duration = (N / mu g) D.
 
-The table stores the difference of each function from that of the equivalent disk, which contains
-the part that is not smooth. The table is filled from slow to fast launches. For a launch of size s,
-the equations of motion are integrated for a short distance. The state reached is a launch of a
-smaller size, which is already in the table (a semi-Lagrangian scheme). The table is filled with
-cubic interpolation on a coarse grid and read with linear interpolation on a finer grid.
+For each function, the table stores the difference from the same function of the equivalent disk.
+The disk's function contains the part that is not smooth. The table is filled from slow to fast
+launches. For a launch of size s, the equations of motion are integrated for a short distance. The
+state that is reached is equivalent to a launch of a smaller size. The values for this launch are
+already in the table (a semi-Lagrangian scheme). The table is filled with cubic interpolation on a
+coarse grid and read with linear interpolation on a finer grid.
 
-The table ends at ``LARGEST_SIZE``, which for the paper's objects is a slide of 100 to 200 mm. A
-faster launch is integrated by the equations of motion until it is within the table.
+The table ends at ``LARGEST_SIZE``. For the paper's objects, this size corresponds to a slide of 100
+to 200 mm. A faster launch is integrated by the equations of motion until it is within the table.
 
 Accuracy: 1e-3 of the displacement and 1e-2 of the duration.
 """
@@ -170,7 +171,7 @@ class PolygonTable:
         """Compute the values of one size on the grid.
 
         ``known`` holds the values of the smaller size that is reached when the logarithm of N has
-        decreased by ``length``; with None, the motion is integrated until the object rests.
+        decreased by ``length``; if it is None, the motion is integrated until the object rests.
         """
         unit = np.stack([np.cos(phi) * np.cos(alpha), np.cos(phi) * np.sin(alpha), np.sin(phi)])
         steps = _STEPS_TO_REST if known is None else max(1, math.ceil(length / _STEP))
@@ -220,7 +221,8 @@ class PolygonTable:
         return np.asarray(np.stack(found) + self._disk_factors(phi))
 
     def _finer(self, table: Array) -> Array:
-        """Interpolate the coarse table to the finer grid; its last direction repeats the first."""
+        """Interpolate the coarse table to the finer grid. In the finer grid, the last direction
+        repeats the first."""
         _, ratios, directions = self._shape
         grid = np.meshgrid(
             np.linspace(0, _RATIOS - 1, ratios),

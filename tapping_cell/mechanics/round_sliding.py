@@ -1,4 +1,4 @@
-"""Sliding of a body with isotropic friction: the table in SI units."""
+"""Sliding of a body with isotropic friction, looked up in the table and converted to SI units."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from tapping_cell.mechanics.slide_table import SlideTable
 
 _PROFILE_STEP = 0.04
 # ln of the smallest remaining fraction of the duration for which the ratio of the velocities is
-# computed. The displacement that then remains is about the square of this fraction (4e-18) of the
-# whole, which is less than rounding errors.
+# computed. The remaining displacement, relative to the whole displacement, is then about the square
+# of this fraction (4e-18) and thus less than the rounding errors.
 _PROFILE_END = -20.0
 
 
@@ -124,7 +124,7 @@ def _slow_down(
         np.log(np.where(both, s_size, 1.0) / np.where(both, v_size, 1.0)),
         np.log(np.maximum(share, math.exp(_PROFILE_END))),
     )
-    # Speed and rim speed with this ratio, the larger of which is 1. They are then scaled so that
+    # Speed and rim speed with this ratio; the larger of the two is 1. They are then scaled so that
     # the slide takes the remaining time.
     v_unit = np.exp(np.minimum(-log_ratio, 0.0))
     s_unit = np.exp(np.minimum(log_ratio, 0.0))

@@ -16,8 +16,8 @@ class _RestFields(NamedTuple):
 class Rest(_RestFields):
     """End of a slide: ``distance`` along the launch in m, ``rotation`` in rad, ``duration`` in s.
 
-    It unpacks into these three values. ``lateral`` is the drift to the left of the launch in m; it
-    is 0 for bodies with isotropic friction.
+    The result unpacks into these three values. ``lateral`` is the drift to the left of the launch
+    in m; it is 0 for bodies with isotropic friction.
     """
 
     lateral: float | Array = 0.0
@@ -34,7 +34,7 @@ class Profile(NamedTuple):
     """A slide over time: arrays of shape (shape of the launches..., shape of the times...).
 
     ``speed`` in m/s and ``spin`` in rad/s are the values at these times; ``distance`` in m and
-    ``rotation`` in rad are those covered until then.
+    ``rotation`` in rad are those covered from the launch until these times.
     """
 
     times: Array

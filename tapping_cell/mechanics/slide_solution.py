@@ -18,9 +18,9 @@ translating regime (left) and in the spinning regime (right):
 
 Lambda is the torque factor times m R^2 / I. The motion converges to the only attracting zero of psi
 (the terminal ratio). Only the physical solution is bounded there. In the interval around that zero,
-the equations are therefore solved by collocation without an initial value. From there the Radau IIA
-method of order five, which is stable in this direction, continues the solution to pure sliding and
-to pure spinning.
+the equations are therefore solved by collocation without an initial value. From this interval, the
+Radau IIA method of order five continues the solution to pure sliding and to pure spinning. The
+method is stable in these directions.
 
 Near tau = 0, y contains powers of tau with exponents slightly above one. Near tau = 1, a ring's
 friction contains a logarithm. The knots of the table are therefore denser near both ends: they are
@@ -107,15 +107,15 @@ class SlideSolution:
         return leading - trailing, factors
 
     def _equation(self, p: Array, spinning: NDArray[np.bool_]) -> tuple[Array, Array, Array]:
-        """Compute P, Q and a of the equation P dy/dp = Q (a y - 1), which is regular at both
-        ends."""
+        """Compute P, Q and a of the equation P dy/dp = Q (a y - 1). It is regular at both ends of
+        p."""
         flow, factors = self._terms(p, spinning)
         square = p * p + (1 - p) ** 2
         return p * flow * square, 2 * (1 - p), factors
 
     def _start(self, path_p: Array, first: int, values: Array, slopes: Array) -> None:
-        """Solve the interval that contains the terminal ratio, by collocation; because the solution
-        must be bounded, it needs no initial value."""
+        """Solve the equations in the interval that contains the terminal ratio, by collocation. No
+        initial value is needed, because the solution must be bounded."""
         low, high = path_p[first], path_p[first + 1]
         width = high - low
         points, _ = np.polynomial.legendre.leggauss(_START_DEGREE + 1)
@@ -135,8 +135,8 @@ class SlideSolution:
 
     def _march(self, path_p: Array, first: int, values: Array, slopes: Array) -> None:
         """Compute the Radau steps of all intervals at once. The step of an interval is an affine
-        map from the solution at its start to that at its end; these maps are then applied one after
-        another."""
+        map from the solution at the start of the interval to the solution at its end. The maps of
+        all intervals are then applied one after the other."""
         count = path_p.size - 1
         interval = np.arange(count)
         outward = interval > first
@@ -170,7 +170,7 @@ class SlideSolution:
 
     def _terminal(self, path_p: Array, flow: Array, first: int) -> float:
         """Compute the limit of v / (R omega) at the end: inf if the spin vanishes first, 0 if the
-        speed does."""
+        speed vanishes first."""
         if first == 0 and flow[0] <= 0:
             return math.inf
         if first == path_p.size - 2 and flow[-1] >= 0:

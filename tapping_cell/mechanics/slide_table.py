@@ -1,10 +1,10 @@
 """Table of all slides for one support and one torque factor, forward and inverse.
 
 It holds the functions X, Theta and D of ``slide_solution`` as cubic Hermite polynomials between
-knots that are uniformly spaced in p (defined there). A single slide is computed with Python floats;
-many slides are computed in blocks that fit in the cache. The inverse looks up an estimate of p in a
-separate table and refines it by Newton steps on the forward table, so that ``launch`` inverts
-``rest`` up to rounding.
+knots that are uniformly spaced in p (also defined in ``slide_solution``). A single slide is
+computed with Python floats; many slides are computed in blocks that fit in the cache. The inverse
+looks up an estimate of p in a separate table and refines it by Newton steps on the forward table,
+so that ``launch`` inverts ``rest`` up to rounding errors.
 """
 
 from __future__ import annotations
@@ -49,9 +49,9 @@ class SlideTable:
             _hermite(v, s) for v, s in zip(solution.values, solution.slopes, strict=True)
         )
         self._forward = np.ascontiguousarray(np.concatenate([x, theta, duration], axis=1).T)
-        # The inverse finds p from the ratio of _minor to _major, which increases with p. _major is
-        # the travel that belongs to the larger of speed and rim speed: x in the translating regime,
-        # theta in the spinning regime. _minor is the other travel.
+        # The inverse finds p from the ratio of _minor to _major. This ratio increases with p.
+        # _major is the travel that belongs to the larger of speed and rim speed: x in the
+        # translating regime, theta in the spinning regime. _minor is the other travel.
         translating = np.arange(2 * PIECES)[:, None] < PIECES
         self._minor = np.ascontiguousarray(np.where(translating, theta, x).T)
         self._major = np.ascontiguousarray(np.where(translating, x, theta).T)
@@ -87,8 +87,8 @@ class SlideTable:
         )
 
     def launch(self, travel: float, rim_travel: float) -> tuple[float, float]:
-        """Compute launch speed and rim speed of the slide that covers this travel and rim travel;
-        each has the sign of its travel."""
+        """Compute launch speed and rim speed of the slide that covers this travel and rim travel.
+        The speed has the sign of the travel, and the rim speed that of the rim travel."""
         x, r = abs(travel), abs(rim_travel)
         if x == 0.0 and r == 0.0:
             return 0.0, 0.0
@@ -209,9 +209,9 @@ class SlideTable:
         return _cubic(self._rates, index, t)
 
     def _inverse_guess(self) -> Array:
-        """Compute the table of p as a function of the ratio of the travels, which is graded like
-        tau. Return the coefficients of Hermite polynomials, first of the translating and then of
-        the spinning regime."""
+        """Compute the table of p as a function of the ratio of the travels. This ratio is graded
+        like tau. Return the coefficients of Hermite polynomials, first of the translating and then
+        of the spinning regime."""
         p = _floats(np.linspace(0.0, 1.0, PIECES + 1))
         halves = []
         for half in range(2):
@@ -256,7 +256,7 @@ class SlideTable:
 def _in_blocks(
     function: Callable[[Array, Array], Sequence[Array]], first: Array, second: Array
 ) -> list[Array]:
-    """Apply a function to blocks of two flat arrays that fit in the cache, and join its results."""
+    """Apply a function to two flat arrays in blocks that fit in the cache, and join the results."""
     parts = [slice(start, start + _CHUNK) for start in range(0, max(first.size, 1), _CHUNK)]
     results = zip(*(function(first[part], second[part]) for part in parts), strict=True)
     return [np.concatenate(blocks) for blocks in results]
@@ -284,7 +284,8 @@ def _cubic(rows: Array, index: NDArray[np.intp], t: Array) -> Array:
 
 
 def _cubic_and_slope(rows: Array, index: NDArray[np.intp], t: Array) -> tuple[Array, Array]:
-    """Compute the value and the derivative with respect to p of one cubic piece."""
+    """Compute, for each element, the value of one cubic piece and its derivative with respect to
+    p."""
     a, b, c, d = (row[index] for row in rows)
     return a + t * (b + t * (c + t * d)), PIECES * (b + t * (2 * c + t * (3 * d)))
 
@@ -302,13 +303,13 @@ def _hermite(values: Array, slopes: Array) -> Array:
 
 
 def _floats(values: NDArray[np.floating]) -> Array:
-    """Convert to float64, because the annotated types of numpy's interp and gradient are not
-    specific."""
+    """Convert to float64, because numpy's type annotations of interp and gradient are not specific
+    enough."""
     return np.asarray(values, dtype=np.float64)
 
 
 @lru_cache(maxsize=32)
 def slide_table(support: str, torque_ratio: float) -> SlideTable:
-    """Return the table of a support and Lambda = torque factor * m R^2 / I; it is built once per
-    process."""
+    """Return the table of a support and Lambda = torque factor * m R^2 / I; the table is built once
+    per process."""
     return SlideTable(support, torque_ratio)

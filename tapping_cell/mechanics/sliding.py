@@ -77,9 +77,9 @@ class Sliding:
     def approximated(self) -> Sliding:
         """Return a copy in which a polygon slides like its equivalent disk.
 
-        The copy is much faster, with the errors given in :meth:`Polygon.equivalent_disk`. It is
-        intended for planners, which evaluate hundreds of taps per decision. A round body is
-        unaffected.
+        The copy is much faster, with the errors given in :meth:`Polygon.equivalent_disk`. The copy
+        is intended for planners, because they evaluate hundreds of taps per decision. A round body
+        is unaffected.
         """
         return self._with(self._axisymmetric)
 
@@ -104,14 +104,14 @@ class Sliding:
         return changed
 
     def rest(self, speed: ArrayLike, spin: ArrayLike, direction: ArrayLike = 0.0) -> Rest:
-        """Compute where and when a slide ends that is launched with ``speed`` in m/s and ``spin``
-        in rad/s, of either sign.
+        """Compute where and when a slide ends, given its launch velocities: ``speed`` in m/s and
+        ``spin`` in rad/s, both of either sign.
 
         Arguments broadcast; scalars give floats. ``direction`` (rad) is that of the launch in the
-        body's frame. It matters only for polygons, whose result also drifts sideways (``lateral``).
-        Distance and rotation have the signs of speed and spin. For a polygon, a small distance or
-        rotation may have the opposite sign. Raises :class:`InvalidParameterError` for values that
-        are not finite.
+        body's frame. The direction matters only for polygons. A polygon also drifts sideways
+        (``lateral``). Distance and rotation have the signs of speed and spin. For a polygon, a
+        small distance or rotation may have the opposite sign. Raises :class:`InvalidParameterError`
+        for values that are not finite.
         """
         return self._model.rest(speed, spin, direction)
 
@@ -120,8 +120,9 @@ class Sliding:
     ) -> Launch:
         """Compute the launch that ends after ``distance`` (m) and ``rotation`` (rad), of any sign.
 
-        This is the inverse of :meth:`rest` with the same ``direction``; every pair is reachable by
-        sliding. Raises :class:`InvalidParameterError` for values that are not finite.
+        This is the inverse of :meth:`rest` with the same ``direction``; every pair of distance and
+        rotation is reachable by sliding. Raises :class:`InvalidParameterError` for values that are
+        not finite.
         """
         return self._model.launch(distance, rotation, direction)
 
@@ -144,10 +145,10 @@ class Sliding:
     ) -> Profile:
         """Compute velocities and displacement at ``times`` (s, from the launch, not negative).
 
-        Results have the shape of the broadcast launches followed by that of the times. The accuracy
-        is 1e-7 of the initial values, or 1e-4 for polygons. The speed and the distance of a polygon
-        are those along ``direction``. Raises :class:`InvalidParameterError` for values that are not
-        finite and for a negative time.
+        Results have the shape of the broadcast launches followed by the shape of the times. The
+        accuracy is 1e-7 of the initial values, or 1e-4 for polygons. The speed and the distance of
+        a polygon are those along ``direction``. Raises :class:`InvalidParameterError` for values
+        that are not finite and for a negative time.
         """
         v, w, a = np.broadcast_arrays(
             finite("speed", speed, "m/s"),

@@ -30,7 +30,7 @@ from tapping_cell.mechanics.planar import Array
 
 # The arithmetic-geometric mean converges quadratically. From a complementary modulus of 1e-12 it
 # takes eight steps. The first step is made before the loop, so the nine steps of the loop include
-# two for safety.
+# two extra steps for safety.
 _AGM_STEPS = 9
 _SMALLEST_COMPLEMENT = 1e-12
 

@@ -3,7 +3,7 @@
 The body is launched along the impulse, so the desired launch determines the impulse's line of
 action. This line has the direction of the velocity, and its distance from the centre of mass is (I
 omega) / (m v). The contact point is where the line enters the body, and the angle of the line from
-the contact normal must be within the friction cone. The striker's axis is the one for which Routh's
+the contact normal must be within the friction cone. The striker's axis is chosen such that Routh's
 method gives this impulse angle.
 """
 
@@ -57,9 +57,9 @@ class TapPlan(NamedTuple):
 def tips_at_rest(
     strike_pose: ArrayLike, standoff: float, round_position: float = 0.0, round_angle: float = 0.0
 ) -> Array:
-    """Return poses (..., 3) of the tip ``standoff`` m behind strike poses. They are rounded to
-    multiples of ``round_position`` m and ``round_angle`` rad, the resolution of an arm; 0 means no
-    rounding."""
+    """Return poses (..., 3) of the tip ``standoff`` m behind strike poses. The returned poses are
+    rounded to multiples of ``round_position`` m and ``round_angle`` rad, the resolution of an arm;
+    0 means no rounding."""
     tips = np.array(strike_pose, dtype=float)
     tips[..., 0] -= standoff * np.cos(tips[..., 2])
     tips[..., 1] -= standoff * np.sin(tips[..., 2])
@@ -74,11 +74,11 @@ class TapResult(NamedTuple):
     """Result of a tap; every field has the shape of the poses.
 
     ``missed`` is True if the striker does not touch the object (then nothing moves). ``travel`` is
-    the ball's travel until the contact in m, negative if the strike pose overlaps the object. The
-    contact point ``point`` (..., 2) and the normal ``normal`` (..., 2) into the object are in table
-    axes. ``incidence`` is in rad, ``normal_impulse`` and ``tangential_impulse`` in N s. ``twist``
-    (..., 3) is (vx, vy, omega) just after the impact and ``displacement`` (..., 3) is (dx, dy,
-    dtheta), both in table axes.
+    the ball's travel, in m, until the contact; it is negative if the strike pose overlaps the
+    object. The contact point ``point`` (..., 2) and the normal ``normal`` (..., 2) into the object
+    are in table axes. ``incidence`` is in rad, ``normal_impulse`` and ``tangential_impulse`` in N
+    s. ``twist`` (..., 3) is (vx, vy, omega) just after the impact and ``displacement`` (..., 3) is
+    (dx, dy, dtheta), both in table axes.
     """
 
     missed: NDArray[np.bool_]
@@ -227,7 +227,8 @@ class Tap:
     def plan_reachable(
         self, displacements: Array, object_pose: ArrayLike = _ORIGIN
     ) -> tuple[NDArray[np.bool_], TapPlan]:
-        """Return which displacements (n, 3) one tap can produce, (n,), and the plans of only these.
+        """Return a mask (n,) of the displacements (n, 3) that one tap can produce, and the plans of
+        these displacements only.
 
         Faster than ``reachable`` followed by ``plan``. ``object_pose``: (3,) or (n, 3).
         """
@@ -320,8 +321,8 @@ class Tap:
         along = velocity / np.where(speed > 0, speed, 1.0)[..., None]
         body = self.body
         lever = body.radius_of_gyration**2 * spin / np.where(speed > 0, speed, 1.0)
-        # The line of action is treated as the path of a point, whose first contact with the body is
-        # the contact point.
+        # The line of action is treated as the path of a point. The first contact of this point with
+        # the body is the contact point.
         far = 2 * body.bounding_radius
         start = lever[..., None] * to_right(along) - far * along
         line = first_contact(body, 0.0, start, along)
@@ -375,7 +376,7 @@ def _poses(name: str, values: ArrayLike) -> Array:
 
 
 def _in_frame(normal: Array, vector: Array) -> Array:
-    """Return the components along n and along t, which is n rotated by +90 degrees."""
+    """Return the components along n and along t, where t is n rotated by +90 degrees."""
     return np.stack([(normal * vector).sum(axis=-1), cross(normal, vector)], axis=-1)
 
 

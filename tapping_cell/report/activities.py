@@ -21,8 +21,8 @@ TRAVELS, LOWERS, CHARGES, SLIDES, WITHDRAWS, FLIES, MEASURES, PLANS, ASKS = (
     "waiting for confirmation",
 )
 LOWERED_M = 0.003
-"""A move counts as lowering the striker once the tip is lower by this distance, in m, than its
-highest point in the move."""
+"""A move counts as lowering the striker once the tip is this distance, in m, below its highest
+point in the move."""
 _ARM_MOVING, _ARM_IN_POSITION, _ARM_WITHDRAWING = 4, 5, 6
 _TAPPER_CHARGING, _TAPPER_CHARGED, _TAPPER_FIRING = 2, 3, 4
 _PLAN_CONFIRMING, _PLAN_LOOKING = 10, 2
@@ -80,8 +80,8 @@ def _activity(latest: dict[str, Any]) -> str:
 
 
 def _of_arm(arm: Any) -> tuple[str, str]:
-    """Return the arm's activity before the tap and its activity after the tap; empty if none. The
-    second applies only if the object does not slide."""
+    """Return the arm's activity before the tap and its activity after the tap; each is empty if
+    there is none. The activity after the tap applies only if the object does not slide."""
     before = {_ARM_MOVING: TRAVELS, _ARM_IN_POSITION: CHARGES}
     return before.get(arm.state, ""), WITHDRAWS if arm.state == _ARM_WITHDRAWING else ""
 

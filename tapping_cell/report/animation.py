@@ -12,9 +12,9 @@ from tapping_cell.report.svg import Plan, stroke
 from tapping_cell.se2 import Array, Pose, transform_points
 
 TAP_S = 2.0
-"""Duration of each tap in the animation, s."""
+"""Duration of each tap in the animation, in s."""
 END_S = 2.0
-"""Duration of the final state before the animation restarts, s."""
+"""Duration of the final state before the animation restarts, in s."""
 APPROACH, SLIDE = 0.25, 0.55
 """Fractions of ``TAP_S`` at which the striker arrives, and at which the object has stopped."""
 ARROW_MM = 42.0
@@ -75,7 +75,7 @@ def _percent(share: float) -> str:
 
 
 def _add_object(plan: Plan, outline: Array, resting: Pose) -> None:
-    """Add the object, which the animation moves. Without animation, as in print, it is at the pose
+    """Add the object that the animation moves. Without animation, as in print, it is at the pose
     ``resting``."""
     with plan.group(f'id="moving" style="transform:{_transform(resting, resting.theta)}"'):
         middle = Pose(0.0, 0.0, 0.0)

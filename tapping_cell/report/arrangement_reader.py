@@ -170,8 +170,8 @@ def _poses(bag: Bag, topic: str, ended: float) -> dict[str, list[Pose]]:
 
 
 def _contacts(bag: Bag, since: float) -> tuple[tuple[str, str], ...] | None:
-    """Return the names of the two objects in each contact in the ground truth; None without ground
-    truth."""
+    """Return, for each contact in the ground truth, the names of the two objects that touched; None
+    without ground truth."""
     if next(bag.of("true_states"), None) is None:
         return None
     return tuple(

@@ -21,10 +21,10 @@ SUMMARY = "arrangement.json"
 class ArrangedObject:
     """One object of an arrangement. Poses in ``table``, m and rad; None if unknown.
 
-    ``outline``: corners in the object's frame, m. ``goal`` is None for an object that may only be
-    moved out of the way. ``end`` is the last measured pose, and ``end_true`` the true pose at the
-    end. ``outcome``: state of the object at the end, in words. ``tolerance`` is that of the goal in
-    m and rad, or None without a goal.
+    ``outline``: corners in the object's frame, in m. ``goal`` is None for an object that may be
+    moved only out of the way of other objects. ``end`` is the last measured pose, and ``end_true``
+    the true pose at the end. ``outcome``: state of the object at the end, in words. ``tolerance``
+    is that of the goal in m and rad, or None without a goal.
     """
 
     name: str
@@ -65,8 +65,9 @@ class ArrangedTap:
 class ArrangementRun:
     """One arrangement from its request to its end.
 
-    ``began``: s since 1970. ``seconds``: duration. ``table_size`` in m. ``contacts``: names of the
-    two objects in each contact in the ground truth; None without ground truth.
+    ``began``: s since 1970. ``seconds``: duration. ``table_size`` in m. ``contacts``: for each
+    contact in the ground truth, the names of the two objects that touched; None without ground
+    truth.
     """
 
     name: str

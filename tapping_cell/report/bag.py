@@ -42,7 +42,7 @@ _MAGIC = b"\x89MCAP0\r\n"
 _HEADER, _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _DATA_END = 1, 2, 3, 4, 5, 6, 15
 """Record types of an MCAP file: https://mcap.dev/spec."""
 _DAMAGED = (KeyError, struct.error, UnicodeDecodeError, ReaderError)
-"""Exceptions that a damaged file can raise."""
+"""Exceptions that can occur while a damaged file is read."""
 _FOREVER = QosTime(9223372036, 854775807)
 """Value that rosbag2 writes for an infinite deadline, lifespan or lease."""
 
@@ -159,8 +159,9 @@ class BagWriter:
     def flush(self) -> None:
         """Pass all written messages to the operating system as a complete chunk of the file.
 
-        The chunk survives a crash of this process. It is not synchronised with the disk, because
-        that takes too long while the arm moves. A power cut may therefore lose the last seconds.
+        The chunk survives a crash of this process. The chunk is not synchronised with the disk,
+        because synchronisation would take too long while the arm moves. A power cut may therefore
+        lose the last seconds.
 
         Raises:
             OSError: the disk is full or not available.
@@ -359,8 +360,8 @@ def _in_chunk(body: memoryview) -> Iterator[tuple[int, memoryview]]:
 
 
 def _text(body: memoryview, start: int) -> tuple[str, int]:
-    """Return the text at ``start``, where its length is stored before it, and the index of its
-    end."""
+    """Return the text whose length (uint32) is stored at ``start``, directly before the text, and
+    the index at which the text ends."""
     (length,) = struct.unpack_from("<I", body, start)
     end = start + 4 + length
     return bytes(body[start + 4 : end]).decode(), end

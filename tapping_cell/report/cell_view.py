@@ -56,7 +56,8 @@ def _outline_at(run: Run, pose: Pose) -> Array:
 
 
 def _heading(run: Run, pose: Pose) -> Array:
-    """Return a line from centre to rim along the object's x axis, which shows a disk's angle."""
+    """Return a line from centre to rim along the object's x axis. The line shows the angle of a
+    disk."""
     reach = max((math.hypot(x, y) for x, y in run.outline), default=0.0)
     return 1000 * transform_points(pose, [[0.0, 0.0], [reach, 0.0]])
 

@@ -38,7 +38,8 @@ def codes() -> dict[int, Code]:
 
 
 def name(number: int) -> str:
-    """Return the name of a code. An unknown code, such as a later version's, gives its number."""
+    """Return the name of a code. For an unknown code, for example of a later version, return its
+    number as text."""
     found = codes().get(number)
     return found.name if found else str(number)
 

@@ -1,4 +1,5 @@
-"""Definitions of ROS messages, which make a bag readable without the packages installed."""
+"""Definitions of ROS messages. With them, a bag is readable even if the message packages are not
+installed."""
 
 from __future__ import annotations
 
@@ -30,7 +31,7 @@ class MessageTypes:
     def definition(self, kind: str) -> tuple[str, str]:
         """Return definition and hash of a message type, such as ``geometry_msgs/msg/Pose``.
 
-        The definition has MCAP's format, which appends the definitions of all nested types.
+        The definition has MCAP's format: the definitions of all nested types are appended.
 
         Raises:
             UnknownMessageType: the type or a nested type is not found.

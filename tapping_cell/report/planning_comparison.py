@@ -110,7 +110,7 @@ def draw_histograms(rows: dict[str, dict[str, Any]], path: Path) -> None:
 
 
 def draw_success(rows: dict[str, dict[str, Any]], path: Path) -> None:
-    """Draw, for each method, the fraction of runs that are finished after a number of taps."""
+    """Draw, for each method, the fraction of finished runs as a function of the number of taps."""
     figure, (axis,) = _figure(1, columns=1, size=(7.5, 4.5))
     for label, figures in rows.items():
         share = 100.0 * _within(figures)

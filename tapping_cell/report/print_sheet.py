@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 _INCH = 0.0254
 _POINT = _INCH / 72.0
 _LINE = 0.0002
-"""Width of thin lines, m."""
+"""Width of thin lines, in m."""
 _CAPITAL = 0.73
 """Height of a capital letter in matplotlib's default font, as a fraction of the font size."""
 

@@ -1,7 +1,7 @@
 """HTML pages from the templates in the folder ``templates``.
 
 The templates contain the structure, the fixed words, the style and the scripts of the pages. They
-escape every value that is not marked ``safe``; only drawings and colours are.
+escape every value that is not marked ``safe``; only drawings and colours are marked ``safe``.
 """
 
 from __future__ import annotations

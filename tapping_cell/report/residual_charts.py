@@ -10,8 +10,9 @@ from tapping_cell.report.svg import round_length
 
 
 def residual_charts(runs: Sequence[Run], colours: Sequence[str]) -> list[dict[str, object]]:
-    """Return charts of the remaining distance and rotation of each run in its colour, which the
-    template ``parts.html`` draws; none without taps.
+    """Return a chart of the remaining distance and a chart of the remaining rotation, for the
+    template ``parts.html``. Each chart has one line per run, in the colour of the run. The list is
+    empty if no run has taps.
 
     The charts show the largest tolerance of the runs.
     """
@@ -40,7 +41,8 @@ def _chart(
 ) -> dict[str, object]:
     """Compute a chart of lines over the number of taps, 420 units wide and 200 high.
 
-    ``lines``: name, values (the first is that before the first tap) and colour of each line.
+    ``lines``: name, values (the first value is the one before the first tap) and colour of each
+    line.
     """
     left, right, top, bottom = 46.0, 394.0, 14.0, 166.0
     most = max([limit * 1.5, *(v for _, values, _ in lines for v in values if math.isfinite(v))])
@@ -56,7 +58,8 @@ def _chart(
         return top + (bottom - top) * (1 - value / most)
 
     points = [[(i, v) for i, v in enumerate(values) if math.isfinite(v)] for _, values, _ in lines]
-    # With a single line, its points are labelled: all of them, or the ends if there are many.
+    # With a single line, its points are labelled: all of them, or only the first and the last if
+    # there are many.
     labelled = [(i, v) for i, v in points[0] if last < 8 or i in (0, last)]
     return {
         "label": label,

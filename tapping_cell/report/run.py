@@ -23,8 +23,9 @@ class Learnt:
 
     ``distance`` is the ratio of measured to modelled distance, and ``rotation`` the ratio of
     measured to modelled rotation per distance. ``direction`` is in rad. ``offset_x`` is the
-    rotation per distance (rad/m) that a tap through the middle of the object in its -y direction
-    causes, and ``offset_y`` that of a tap in its +x direction. Unknown values are NaN.
+    rotation per distance (rad/m) caused by a tap through the middle of the object in the object's
+    -y direction, and ``offset_y`` the one caused by such a tap in the object's +x direction.
+    Unknown values are NaN.
     """
 
     distance: float = math.nan
@@ -67,7 +68,8 @@ class TapRow:
     at_rest_at: float = math.nan
     learnt: Learnt = field(default_factory=Learnt)
     reason: str = ""
-    """Reason why the tap was not aimed straight at the goal; empty if it was, or if unknown."""
+    """Reason why the tap was not aimed straight at the goal; empty if it was aimed straight at the
+    goal, or if the reason is unknown."""
     predicted_covariance: Covariance | None = None
     """Covariance of ``predicted`` in x, y, theta (m, rad); None if unknown."""
     tapper: str = ""
@@ -75,7 +77,7 @@ class TapRow:
     expected_taps: float = math.nan
     """Expected number of taps to the goal, including this tap; NaN if unknown."""
     expected_seconds: float = math.nan
-    """Expected time to the goal from the command of this tap, s; NaN if unknown."""
+    """Expected time to the goal from the command of this tap, in s; NaN if unknown."""
 
 
 @dataclass(frozen=True, slots=True)

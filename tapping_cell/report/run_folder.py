@@ -185,7 +185,7 @@ def write_folder(folder: Path, pictures: bool = True) -> Run:
     illustrated = read_illustrated_run(folder / BAG, folder.name)
     if illustrated.run.outcome == UNFINISHED:
         # The bag does not contain the end of the run. If write_failure has already recorded in the
-        # summary why the run ended, keep that.
+        # summary why the run ended, keep that reason.
         with contextlib.suppress(RunError):
             report = read_run(folder)
             ended = replace(

@@ -38,8 +38,8 @@ NOTES = "run_notes"
 PICTURES = "camera/image_annotated/compressed"
 _STATE_TOPICS = ("plan_state", "arm_state", "tapper_state", "object_state")
 TRUTH_WITHIN_S = 0.2
-"""Maximum time difference between a measured pose and its ground truth, s. A pose counts as a final
-pose up to this time after the end of the run."""
+"""Maximum time difference between a measured pose and its ground truth, in s. A pose counts as a
+final pose up to this time after the end of the run."""
 SAME_TIME_S = 1e-6
 _FINAL_WORDS = ("reached", "failed", "canceled")
 
@@ -144,7 +144,7 @@ def illustrated_run(bag: Bag, name: str) -> IllustratedRun:
 
 
 def pictures_of(bag: Bag, began: float) -> tuple[Picture, ...]:
-    """Return the camera images in order of time; ``began`` is the start of the run, s."""
+    """Return the camera images in order of time; ``began`` is the start of the run, in s."""
     return tuple(
         Picture(_seconds(m.header.stamp) - began, bytes(m.data)) for _, m in bag.of(PICTURES)
     )
@@ -308,8 +308,8 @@ def _errors(bag: Bag, began: float, ended: float) -> tuple[ErrorEvent, ...]:
 
 
 def _finite(value: float) -> float:
-    """Return a tolerance. If it is not finite, which only a rejected request can contain, return
-    0."""
+    """Return a tolerance, or 0 if it is not finite. Only a rejected request can contain a tolerance
+    that is not finite."""
     return float(value) if math.isfinite(value) else 0.0
 
 

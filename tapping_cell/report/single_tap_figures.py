@@ -72,7 +72,7 @@ def _runs(figure: Figure, report: SingleTapReport) -> None:
             axes.plot(slide_x[run], slide_y[run], "+", color=INK, ms=9, mew=1.0)
             if np.isfinite(tap_x[run]).any():
                 # Average taps with positive and with negative rotation separately, because the mean
-                # of both corresponds to no real tap.
+                # over both groups does not correspond to a real tap.
                 for side in (y[run] > 0, y[run] <= 0):
                     if np.isfinite(tap_x[run][side]).any():
                         middle = np.nanmean(tap_x[run][side]), np.nanmean(tap_y[run][side])

@@ -31,7 +31,7 @@ class Plan:
         self.height = self.high[1] - self.low[1]
         self.unit = max(self.width, self.height) / 100
         """A hundredth of the drawing's larger side, in mm. Line widths and font sizes are multiples
-        of it."""
+        of this length."""
 
     def table(self, half: ArrayLike) -> None:
         """Draw the table from its half lengths along x and y, in mm."""
@@ -116,7 +116,8 @@ class Plan:
             y = step * index
             self.polygon([(low[0], y), (low[0] + mark, y)], line, closed=False)
             if low[1] + 6 * self.unit < y < self.high[1] - 4 * self.unit:
-                # Keep a distance from the tick mark, which would otherwise look like a minus sign.
+                # Keep a distance from the tick mark, so that the mark does not look like a minus
+                # sign.
                 self.text(low[0] + 5.2 * self.unit, y, f"{y:g}", MUTED, 2.0)
         self.text(self.high[0] - 4 * self.unit, low[1] + 2.6 * self.unit, "x mm", MUTED, 2.0)
         self.text(low[0] + 5.2 * self.unit, self.high[1] - 2.2 * self.unit, "y mm", MUTED, 2.0)
@@ -166,6 +167,7 @@ def window(points: ArrayLike, margin: float, least: float) -> tuple[Array, Array
 
 
 def round_length(length: float) -> float:
-    """Return the largest 1, 2 or 5 times a power of ten that is at most ``length``."""
+    """Return the largest number of the form 1, 2 or 5 times a power of ten that is at most
+    ``length``."""
     power = 10.0 ** math.floor(math.log10(max(length, 1e-9)))
     return next(factor * power for factor in (5.0, 2.0, 1.0) if factor * power <= length * 1.0001)

@@ -23,7 +23,7 @@ BLUE: Colour = (255, 170, 70)
 WHITE: Colour = (245, 245, 245)
 _TABLE = Pose(0.0, 0.0, 0.0)
 _FINE = 4
-"""Fractional bits of OpenCV's drawing coordinates."""
+"""Number of fractional bits in OpenCV's drawing coordinates."""
 
 
 def annotate(
@@ -39,10 +39,10 @@ def annotate(
     """Return a colour image (BGR, uint8, height x width x 3) of one frame and its observation.
 
     ``outline`` (N, 2) is the object's outline in its own frame, in m, and ``height`` (m) the height
-    of its top. ``goal`` is the object's goal pose in table. ``references`` are drawn at their
-    positions in the table file: blue if they were used in this frame, otherwise red. ``unknown``
-    are the outlines (N, 2) in table of the objects without an object file, drawn in red. Text is in
-    mm and degrees.
+    of its top. ``goal`` is the object's goal pose in ``table``. ``references`` are drawn at their
+    positions in the table file: in blue if they were used in this frame, otherwise in red.
+    ``unknown`` are the outlines (N, 2) in ``table`` of the objects without an object file; they are
+    drawn in red. Text is in mm and degrees.
     """
     picture = np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR), dtype=np.uint8)
     points = np.asarray(outline, dtype=float)
@@ -63,8 +63,8 @@ def annotate(
 
 
 def _state(observation: Observation) -> tuple[str, Colour]:
-    """Return label and colour of the object's state. The label is FOUND after a single frame, which
-    does not show whether the object moves."""
+    """Return label and colour of the object's state. The label is FOUND after the first frame,
+    because one frame does not show whether the object moves."""
     if observation.at_rest:
         return f"AT REST   {observation.frames_fused} frames", GREEN
     if observation.velocity is not None and not observation.velocity.any():

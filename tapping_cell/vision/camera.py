@@ -21,14 +21,15 @@ Image = NDArray[np.uint8]
 
 _LENGTHS = {"plumb_bob": (0, 4, 5), "rational_polynomial": (0, 8, 12, 14)}
 # The 60 fixed-point iterations reduce the error by 12 decimal digits if every iteration reduces it
-# to 63 %. With the radial coefficient k1 = -0.2, this holds for fields of view of up to about 95
-# degrees. Newton's method finds the rays that do not converge in time.
+# to 63 % of its value. With the radial coefficient k1 = -0.2, this holds for fields of view of up
+# to about 95 degrees. Rays that have not converged after these iterations are computed by Newton's
+# method.
 _UNDISTORT_CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 60, 1e-12)
 _FOUND = 1e-6
 """Maximum reprojection error, in pixels, at which a ray counts as found."""
 _NEWTON_STEPS = 40
 _LARGEST = 30_000
-"""Maximum width or height of an image in pixels, more than any camera has."""
+"""Maximum width and maximum height of an image, in pixels. No camera exceeds them."""
 
 
 class CameraError(ValueError):
@@ -187,10 +188,11 @@ class CameraModel:
     def _newton(self, pixels: Array) -> Array:
         """Solve for rays (N, 2) by Newton's method from the undistorted pixels; NaN if it fails.
 
-        With barrel distortion, the image radius grows less than linearly, so every step stops short
-        of the solution and the next step continues from there. Beyond a certain radius, the lens
-        model folds back: the image radius decreases again. A ray that a step moves beyond this
-        radius becomes NaN, because the iteration cannot return from there.
+        With barrel distortion, the image radius grows less than linearly with the slope of the ray.
+        Every step therefore stops short of the solution, and the next step continues from there.
+        Beyond a certain radius, the lens model folds back: the image radius decreases again. A ray
+        that a step moves beyond this radius becomes NaN, because the iteration cannot return from
+        there.
         """
         rays = (pixels - [self.cx, self.cy]) / [self.fx, self.fy]
         zero = np.zeros(3)
@@ -198,9 +200,9 @@ class CameraModel:
         for _ in range(_NEWTON_STEPS):
             points = np.column_stack([rays[left], np.ones(len(left))])
             seen, slopes = cv2.projectPoints(points, zero, zero, self.matrix, self.coefficients)
-            # Columns 3 and 4: derivatives with respect to the translation along x and y, which
-            # equal those with respect to the point's x and y. The depth is 1, so x and y are the
-            # ray.
+            # Columns 3 and 4: derivatives with respect to the translation along x and y. They equal
+            # the derivatives with respect to the point's x and y. The depth is 1, so the point's x
+            # and y are the direction of the ray.
             matrix = np.asarray(slopes, dtype=float)[:, 3:5].reshape(-1, 2, 2)
             error = pixels[left] - seen.reshape(-1, 2)
             forward = np.linalg.det(matrix) > 0

@@ -12,8 +12,8 @@ from tapping_cell.vision.camera import CameraModel, Image
 from tapping_cell.vision.observation import Problem
 
 _REPEATED = 4
-"""Number of recent frames from which an image must differ. A camera that repeats frames usually has
-this many buffers."""
+"""Number of recent frames from which an image must differ. A camera that repeats old frames usually
+has this many frame buffers."""
 _GLOW = 12.0
 """Maximum brightness, in grey levels above ``dark``, that noise and the camera's own lamps cause
 in the dark."""

@@ -1,5 +1,5 @@
-"""Visibility of points on the table for a camera whose view is partly occluded by bars, which model
-the links of the arm."""
+"""Visibility of points on the table for a camera whose view is partly occluded by bars. The bars
+model the links of the arm."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from tapping_cell.vision.camera import Array
 def view_clearance(
     camera: ArrayLike, start: ArrayLike, end: ArrayLike, radius: ArrayLike, points: ArrayLike
 ) -> Array:
-    """Distance (N, M) in m from each of M points to the nearest shadow of each of N sets of bars.
+    """Distance (N, M), in m, of M points from the nearest shadow of N sets of bars.
 
     A shadow is the area that a bar hides from the camera: the bar's central projection from the
-    lens to the horizontal plane through the point. The distance is negative if the
-    point itself is hidden. A disc around the point is fully visible if the distance is greater than
-    its radius.
+    lens to the horizontal plane through the point. The distance is negative if the point itself is
+    hidden. A disk around the point is fully visible if the distance is greater than the radius of
+    the disk.
 
     Args:
         camera: position of the lens, (3,).

@@ -53,6 +53,6 @@ def pose_difference(first: Array, second: Array) -> Array:
 
 
 def _median(rows: Array) -> Array:
-    """Median (3,) of each column of (N, 3); ten times as fast as numpy's for few rows."""
+    """Median (3,) of each column of (N, 3); ten times as fast as numpy's median for a few rows."""
     ordered, half = np.sort(rows, axis=0), len(rows) // 2
     return np.asarray(ordered[half] if len(rows) % 2 else (ordered[half - 1] + ordered[half]) / 2)

@@ -44,7 +44,7 @@ processing time of one frame on a slow computer."""
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frame:
-    """A valid frame, and the state of the table in it."""
+    """A valid frame, and the state of the table in this frame."""
 
     image: Image
     stamp: float
@@ -57,9 +57,10 @@ class Frame:
     references_seen: bool
     """True if reference markers were measured in this frame."""
     aimed: MarkerEdges | None
-    """Edges of the marker that the follower aimed at; None if it was not found."""
+    """Edges of the marker that :meth:`ObjectFollower.aim` returned; None if this marker was not
+    found."""
     notice: str
-    """Warning about the table that does not invalidate the pose; empty if there is none."""
+    """Warning about the table for a frame with a valid pose; empty if there is none."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -133,8 +134,8 @@ class ObjectFollower(ABC):
 
     @abstractmethod
     def extra_uncertainty(self, frame: Frame) -> tuple[Array, str]:
-        """Return the uncertainty of the last measurement that is common to all frames: covariance
-        (3, 3), and a warning."""
+        """Return the covariance (3, 3) of that part of the last measurement's error that is common
+        to all frames, and a warning."""
 
     # -- common to all followers
 
@@ -156,7 +157,8 @@ class ObjectFollower(ABC):
         return np.asarray(pose + velocity * min(stamp - then, _UNSEEN))
 
     def step(self, stamp: float) -> Array:
-        """Predict the displacement (2,) of the object from its last pose to this time, in m."""
+        """Predict the object's displacement (2,), in m, from its last pose until the time ``stamp``
+        (s)."""
         if self._last is None:
             return np.zeros(2)
         return np.asarray(self._last[2][:2] * min(stamp - self._last[0], _UNSEEN))
@@ -187,10 +189,10 @@ class ObjectFollower(ABC):
         self._last = None
 
     def stop(self, stamp: float, pose: Array | None = None) -> None:
-        """Set the velocity to zero and expect the object at ``pose``.
+        """Expect the object at ``pose``, with the velocity zero.
 
-        If ``pose`` is None, the object is expected at its last pose, but the velocity is kept until
-        ``_UNSEEN`` s after the last measurement.
+        If ``pose`` is None, the object is expected at its last pose, and the velocity is set to
+        zero only if the last measurement is more than ``_UNSEEN`` s old.
         """
         if pose is not None:
             self._last = (stamp, pose, np.zeros(3))

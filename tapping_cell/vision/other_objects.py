@@ -1,4 +1,4 @@
-"""Schedule for measuring the other objects: the tapped object in every frame, the rest in turn."""
+"""Schedule the measurements: the tapped object in every frame, the other objects in turn."""
 
 from __future__ import annotations
 

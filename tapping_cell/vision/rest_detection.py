@@ -21,8 +21,8 @@ _BEGINNING, _LARGEST_BEGINNING = 0.25, 0.002
 
 If the motion begins within the exposure, the blurred image does not correspond to the middle of the
 exposure. The resulting error is at most the whole displacement from the rest pose. ``_BEGINNING``
-is the standard deviation of this error, as a fraction of the displacement. It no longer grows if
-the displacement exceeds ``_LARGEST_BEGINNING`` (m).
+is the standard deviation of this error, as a fraction of the displacement. The standard deviation
+is constant for displacements above ``_LARGEST_BEGINNING`` (m).
 """
 
 
@@ -69,7 +69,7 @@ class Motion:
 
 
 class Track:
-    """Poses of the object since its last motion, by which rest and motion are detected."""
+    """Poses of the object since its last motion, from which rest and motion are detected."""
 
     def __init__(self, settings: RestSettings | None = None) -> None:
         self.settings = settings or RestSettings()
@@ -150,8 +150,8 @@ class Track:
         fused, spread = self._fused
         if _distance(pose, covariance, fused, spread) > self.settings.leave:
             return False
-        # A motion may be too slow to exceed the noise of one frame. To detect it, compare the mean
-        # of the last few frames with the mean of all frames of the rest.
+        # A motion may be too slow to exceed the noise of one frame. To detect such a motion,
+        # compare the mean of the last few frames with the mean of all frames of the rest.
         if len(self._poses) < 12:
             return True
         mean, error = fuse_information(
@@ -174,8 +174,8 @@ class Track:
         return 0
 
     def _stacked(self, window: int) -> tuple[Array, Array, Array]:
-        """Stamps (N,) of the last frames, their poses (N, 3) relative to the newest, variances (N,
-        3)."""
+        """Stamps (N,) of the last frames, the poses (N, 3) relative to the newest pose, and the
+        variances (N, 3) of the poses."""
         chosen = list(self._recent)[-window:]
         stamps = np.array([stamp for stamp, _, _ in chosen])
         poses = np.array([pose for _, pose, _ in chosen])

@@ -99,8 +99,8 @@ class PoseTracker:
 
     @property
     def view(self) -> View | None:
-        """The camera with its current pose over the table; None before the first reference
-        markers."""
+        """The camera with its current pose over the table; None before reference markers were
+        measured for the first time."""
         return None if self.table.pose is None else View(self.camera, self.table.pose)
 
     def update(self, image: Image, stamp: float) -> Observation:
@@ -170,8 +170,8 @@ class PoseTracker:
     def _watch_settled(self, image: Image, observation: Observation) -> None:
         """Keep this frame for comparison with the next frame.
 
-        Nothing is kept until the object has been at rest long enough, or while a reference marker
-        may be occluded.
+        The frame is not kept if the object has not been at rest long enough, or if a reference
+        marker may be occluded.
         """
         self._measured_at = observation.stamp
         view = self.view
@@ -259,8 +259,8 @@ class PoseTracker:
         self._last_search = stamp
         self._search_next = False
         # The thorough search and its diagnosis take the time of several frames. Both are applied to
-        # the first frame if needed, because it may be the only frame, but to later frames only
-        # occasionally.
+        # the first frame if needed, because this frame may be the only one. They are applied to
+        # later frames only occasionally.
         since = stamp - self._last_thorough
         slow = self._object.lost(stamp) and since >= self.settings.audit_period
         of_table = self._references.dictionary

@@ -1,12 +1,12 @@
 """Outlines of objects on the table that no object file describes.
 
-The image is rectified to the plane of the table at a coarse resolution. Areas whose brightness
-differs from the table's are such objects, unless they are
+The image is rectified to the plane of the table at a coarse resolution. Areas that differ in
+brightness from the table are such objects, unless they are
 
 - reference markers or objects that have been measured (with the shadow beside them),
-- connected to the edge of the table's area, as the arm, a cable or a hand is,
-- covered by the arm according to its joints, or
-- narrower than ``_MIN_WIDTH``, as printed lines are.
+- connected to the edge of the table's area (such as the arm, a cable or a hand),
+- covered by the arm, according to its joint angles, or
+- narrower than ``_MIN_WIDTH`` (such as printed lines).
 
 A flat print wider than ``_MIN_WIDTH`` is taken for an object, and an object of the table's
 brightness is not found. The silhouette projected to the table's plane contains the object's
@@ -14,7 +14,8 @@ footprint, because a camera above the table sees the side walls of an object out
 The outlines are therefore conservative.
 
 An outline is kept unchanged while the area changes by less than ``_SAME``, so that a planner can
-compare outlines. It is removed when its place has been seen without the object several times.
+compare outlines. The outline is removed when its place has been seen several times without the
+object.
 """
 
 from __future__ import annotations
@@ -94,8 +95,8 @@ class ArmBars:
 
 @dataclass(slots=True, eq=False)
 class _Tracked:
-    """An unknown object: its outline (N, 2), the cells it covers, and the number of searches in
-    which its place was visible without it."""
+    """An unknown object: its outline (N, 2), the cells that it covers, and the number of searches
+    in which its place was visible without the object."""
 
     outline: Array
     cells: Mask
@@ -181,9 +182,9 @@ class UnknownObjects:
     def _differs(self, seen: NDArray[np.float32], free: NDArray[np.bool_]) -> Mask:
         """Return the cells whose brightness differs from the table's.
 
-        The table's brightness is modelled by a cubic surface. It is fitted by least absolute
-        deviations (iteratively reweighted least squares), because objects cover a part of the
-        table.
+        The table's brightness is modelled by a cubic surface. This surface is fitted by least
+        absolute deviations (iteratively reweighted least squares), because objects cover a part of
+        the table.
         """
         rows = np.flatnonzero(free)
         rows = rows[:: max(1, len(rows) // _FIT_POINTS)]
@@ -201,8 +202,8 @@ class UnknownObjects:
             _RELATIVE_CONTRAST * table, max(_MIN_CONTRAST, _NOISE_DEVIATIONS * noise)
         )
         other = (free & (np.abs(np.nan_to_num(seen) - table) > least)).astype(np.uint8)
-        # Closing fills the thin line between a dark and a bright part of an object, which has the
-        # table's brightness.
+        # Between a dark and a bright part of an object, there is a thin line with the table's
+        # brightness. Closing fills this line.
         return np.asarray(cv2.morphologyEx(other, cv2.MORPH_CLOSE, _kernel(CELL)), dtype=np.uint8)
 
     # -- masks

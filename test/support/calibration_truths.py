@@ -40,8 +40,8 @@ def camera(random: Random) -> CameraModel:
         middle = 639.5 + random.uniform(-25.0, 25.0), 511.5 + random.uniform(-25.0, 25.0)
         radial = random.uniform(-0.25, 0.05), random.uniform(0.0, 0.08)
         tangential = random.uniform(-5e-4, 5e-4, 2).tolist()
-        # Some random coefficients map two directions to one pixel of the image, which no real lens
-        # does. CameraModel then raises an error, and other coefficients are chosen.
+        # Unlike a real lens, some random coefficients map two directions to one pixel of the image.
+        # CameraModel then raises an error, and other coefficients are chosen.
         with contextlib.suppress(CameraError):
             return CameraModel(*size, *middle, (*radial, *tangential, 0.0))
 
@@ -142,8 +142,9 @@ def markers_sheet(references: ReferenceMap) -> Sheet:
 
 
 def arm(random: Random) -> dict[str, float]:
-    """Return parameters of an arm that differ from the drawing by up to a few cm and 10 degrees,
-    with an elbow zero wrong by 1 degree, and a random mount of the marker."""
+    """Return random parameters of an arm. The base pose deviates from the drawing by 20 mm and 0.1
+    rad, and the elbow's zero deviates by 0.02 rad (standard deviations). The mount of the marker is
+    random too."""
     geometry = ScaraGeometry()
     return {
         "base_x": random.normal(0.0, 0.02),

@@ -60,8 +60,8 @@ def bench(
         for key, value in values.items():
             text = str(value).lower() if isinstance(value, bool) else str(value)
             arguments += ["-p", f"{node}:{key}:={text}"]
-    # Unreferenced objects of an earlier test may still keep its participant and endpoints alive,
-    # and a count of subscriptions would be too high.
+    # Unreferenced objects of an earlier test may still keep its participant and endpoints in
+    # existence. A count of subscriptions would then be too high.
     gc.collect()
     # The nodes use the default context, as in production.
     rclpy.init(args=arguments)

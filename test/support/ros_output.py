@@ -61,7 +61,7 @@ class RosOutput(Node):
             self._publish()
 
     def pulses(self) -> list[float]:
-        """Return the lengths of the pulses so far, s."""
+        """Return the lengths of the pulses so far, in s."""
         ons = [at for at, level in self.edges if level]
         offs = [at for at, level in self.edges if not level]
         return [off - on for on, off in zip(ons, offs, strict=False)]

@@ -50,7 +50,7 @@ def renderer(
     seed: int = 0,
     **settings: float,
 ) -> SceneRenderer:
-    """Return the renderer of the standard scene with changes."""
+    """Return the renderer of the standard scene with the given changes."""
     return SceneRenderer(
         CAMERA, pose, references, DISK, marker, SceneSettings(**settings), seed=seed
     )
@@ -95,12 +95,12 @@ def area_sampled_marker(
     inside = (np.arange(samples) + 0.5) / samples - 0.5
     xs = (np.arange(x0, x1)[:, None] + inside).ravel()
     ys = (np.arange(y0, y1)[:, None] + inside).ravel()
-    # Positions on the plane are computed at every sixth pixel and interpolated by splines. This is
-    # exact enough, because the positions vary smoothly over the image.
+    # Positions on the plane are computed at every sixth pixel and interpolated by splines. The
+    # interpolation is exact enough, because the positions vary smoothly over the image.
     grid_x, grid_y = np.arange(x0 - 6, x1 + 12, 6.0), np.arange(y0 - 6, y1 + 12, 6.0)
     nodes = view.on_plane(np.stack(np.meshgrid(grid_x, grid_y), axis=-1), marker.height)
-    # The nodes are transformed before interpolation, which gives the same result as transforming
-    # all pixels.
+    # The nodes are transformed before interpolation. The result is the same as if all pixels were
+    # transformed.
     local = between(grid_y, grid_x, transform_points(inverse(pose), nodes), ys, xs)
     column, row = ((half + sign * part) / module for sign, part in zip((1, -1), local, strict=True))
     # The grey levels of the modules, extended by one row and column of the surroundings on each

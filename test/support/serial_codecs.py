@@ -234,7 +234,8 @@ def _run_here(name: str, runs: int, seed: int) -> None:
 
 
 def main() -> int:
-    """Fuzz each requested target in a process of its own, because atheris ends its process."""
+    """Fuzz each requested target in a process of its own, because atheris ends the process in which
+    it runs."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("targets", nargs="*", choices=[*TARGETS, []], default=[])
     parser.add_argument("--runs", type=int, default=1_000_000, help="inputs a target")

@@ -75,7 +75,8 @@ def simulated_experiment(
     noise_known: bool = True,
 ) -> Experiment:
     """Return one experiment as it is read from its folder. ``noise_known``: whether the header
-    contains the noise of a pose at rest; otherwise, its default values are used."""
+    contains the noise of a pose at rest; if it does not, the default values of the header are
+    used."""
     noise = zip(("rest_position_std", "rest_rotation_std"), design.rest_noise, strict=True)
     header = ExperimentFile(
         format=1,
@@ -90,7 +91,8 @@ def simulated_experiment(
 
 
 class _Bench:
-    """The simulated world with a camera and a tapper that do not know its true parameters."""
+    """The simulated world, with a camera and a tapper that have no access to the true parameters of
+    the world."""
 
     def __init__(
         self,

@@ -3,7 +3,8 @@
 Nothing is imported from the package. The friction factors are computed with the published formulas,
 which contain the complete elliptic integrals K and E (the argument of SciPy's functions is k^2).
 Where terms of these formulas cancel, a series is used. The motion is integrated with DOP853. The
-integration variable is chosen so that the velocities decrease about exponentially with it.
+integration variable is chosen such that the velocities decrease about exponentially with this
+variable.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ The emulator accepts a trajectory if it names the controller's joints, in any or
 times increase. A new trajectory replaces the current one, starting from the present command
 (preemption). Points with velocities are joined by cubics, others by straight lines. The arm follows
 its commands with a lag. An action goal succeeds once every joint is within its goal tolerance after
-the trajectory's end. The goal is aborted if this takes longer than the goal time or if the arm
+the trajectory's end. The goal is aborted if the joints need longer than the goal time or if the arm
 leaves the path tolerance.
 """
 
@@ -24,7 +24,7 @@ from tapping_cell.hardware.trajectory_link import GoalState, Progress
 Array = NDArray[np.float64]
 
 STEP = 1e-3
-"""Time step over which the arm's speed is measured, s."""
+"""Time step over which the arm's speed is measured, in s."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,17 +33,17 @@ class ControllerSettings:
 
     names: tuple[str, ...]
     lag: float = 0.02
-    """Delay from a commanded position until the arm reaches it, s."""
+    """Delay from a commanded position until the arm reaches it, in s."""
     goal_tolerance: float = 1e-3
     """Maximum position error at the goal, rad or m."""
     goal_time: float = 0.5
-    """Maximum time to reach the goal after the trajectory's end, s."""
+    """Maximum time to reach the goal after the trajectory's end, in s."""
     path_tolerance: float = 0.05
-    """Maximum position error on the path, rad or m; only checked while an action goal is active."""
+    """Maximum position error on the path, rad or m; checked only while an action goal is active."""
     speed_scaling: float = 1.0
     """Factor on the trajectory's speed, as set by a robot's speed slider."""
     offset: float = 0.0
-    """Constant position error of every joint, as of a compliant drive, rad or m."""
+    """Constant position error of every joint, such as that of a compliant drive, rad or m."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +52,7 @@ class _Run:
 
     start: float
     points: tuple[TrajectoryPoint, ...]
-    """Points of the trajectory; the first is the state at the start."""
+    """Points of the trajectory; the first point is the state at the start."""
 
 
 class TrajectoryController:
@@ -122,7 +122,7 @@ class TrajectoryController:
         self._blocked = None
 
     def push(self, offset: Sequence[float], now: float) -> None:
-        """Push the arm externally by ``offset``; it stays there."""
+        """Push the arm externally by ``offset``; the arm stays displaced."""
         place, _ = self._commanded(now)
         self._hold(place + np.asarray(offset, dtype=float), now)
 
@@ -202,7 +202,7 @@ class TrajectoryController:
 
 
 def _between(before: TrajectoryPoint, after: TrajectoryPoint, time: float) -> tuple[Array, Array]:
-    """Interpolate between two points by a cubic, or linearly without velocities."""
+    """Interpolate between two points by a cubic, or linearly if the points have no velocities."""
     a, b = np.array(before.positions), np.array(after.positions)
     span = after.time - before.time
     u = (time - before.time) / span

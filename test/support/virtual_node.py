@@ -26,8 +26,8 @@ PROBE = "probe"
 
 
 class VirtualNode:
-    """One node in virtual time, and a probe that exchanges messages with it in place of all other
-    nodes. Times in s since the start."""
+    """One node in virtual time, and a probe that replaces all other nodes and exchanges messages
+    with this node. Times in s since the start."""
 
     def __init__(
         self,
@@ -77,7 +77,7 @@ class VirtualNode:
         return self.states[-1]
 
     def now(self) -> float:
-        """Return the virtual time, s."""
+        """Return the virtual time, in s."""
         return self.scheduler.now
 
     def stamp(self, ahead: float = 0.0) -> Time:

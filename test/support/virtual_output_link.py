@@ -1,7 +1,8 @@
 """Emulated digital output of a robot with its driver and link, in externally controlled time.
 
-A level takes effect with a delay, and requests of one client are processed in order. The remote
-side knows neither shots nor deadlines nor a maximum pulse, as is usual for robot outputs.
+A level takes effect with a delay, and requests of one client are processed in order. As is usual
+for the outputs of robots, the remote side has no information about shots and deadlines and does not
+limit the length of a pulse.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ class OutputFaults:
     """Whether the robot answers that it did not switch on."""
     lost_answers: bool = False
     late: float = 0.0
-    """Additional delay of a level's effect, s."""
+    """Additional delay of a level's effect, in s."""
     broken_wire: bool = False
     """Whether the read-back never reports the output as on."""
 
@@ -40,7 +41,7 @@ class OutputDevice:
     """The output, the guard, and the true state of the coil."""
 
     latency: float = 0.004
-    """Delay from a request to its effect, and from there to its answer, s."""
+    """Delay from a request to its effect, and delay from the effect to the answer, both in s."""
     guard_closed: bool = True
     faults: OutputFaults = field(default_factory=OutputFaults)
     edges: list[tuple[float, bool]] = field(default_factory=list)
@@ -72,7 +73,7 @@ class OutputDevice:
 class VirtualOutputLink:
     """An :class:`~tapping_cell.hardware.output_link.OutputLink` in virtual time.
 
-    ``now``: returns the time, s. ``sleep``: lets time pass for the driver.
+    ``now``: returns the time, in s. ``sleep``: lets time pass for the driver.
     """
 
     name = "/robot/set_output"
@@ -132,7 +133,7 @@ class VirtualOutputLink:
         return until if self.device.level(until) else max(ons, default=-math.inf)
 
     def now(self) -> float:
-        """Return the time of the clock, s."""
+        """Return the time of the clock, in s."""
         return self._now()
 
     def sleep(self, duration: float) -> None:
@@ -214,7 +215,7 @@ class VirtualOutputLink:
         return self._number
 
     def _last_report_at(self) -> float | None:
-        """Return the time of the last input message; None before the first one."""
+        """Return the time of the last input message; None before the first message."""
         faults = self.device.faults
         if math.isinf(self._opened):
             return None

@@ -31,18 +31,18 @@ class LinkFaults:
     lost_trajectories: int = 0
     """Number of trajectories, beginning with the next one, that are lost."""
     late: float = 0.0
-    """Delay of the joint states after their measurement, s."""
+    """Delay of the joint states after their measurement, in s."""
     ahead: float = 0.0
-    """Time by which the arm's clock is ahead, s."""
+    """Time by which the arm's clock is ahead, in s."""
     foreign_names: bool = False
-    """Whether the joint states contain other joint names than those of the arm."""
+    """Whether the joint states contain joint names that differ from those of the arm."""
     no_velocities: bool = False
 
 
 class VirtualTrajectoryLink:
     """A :class:`~tapping_cell.hardware.trajectory_link.TrajectoryLink` in virtual time.
 
-    ``now``: returns the time, s. ``sleep``: lets time pass for the driver.
+    ``now``: returns the time, in s. ``sleep``: lets time pass for the driver.
     """
 
     name = "/scara_controller"
@@ -92,7 +92,7 @@ class VirtualTrajectoryLink:
         return tuple(self._samples)
 
     def now(self) -> float:
-        """Return the time of the clock, s."""
+        """Return the time of the clock, in s."""
         return self._now()
 
     def open(self, timeout: float) -> None:

@@ -64,8 +64,8 @@ def _detect_with_functions(image: Image, book: cv2.aruco.Dictionary, parameters:
     """Detect corners and ids with OpenCV 4.6.
 
     This version keeps only the larger of two close quads before decoding, and so may discard a
-    marker in favour of the rim around it. The minimum distance is therefore lowered to decode every
-    quad.
+    marker in favour of the rim around it. The minimum distance of quads is therefore lowered, so
+    that every quad is decoded.
     """
     rate = parameters.minMarkerDistanceRate
     parameters.minMarkerDistanceRate = 1e-3
@@ -107,7 +107,7 @@ def detect_board(
     """Detect a ChArUco board.
 
     Returns indices and pixels (N, 2) of its inner corners, and the number of markers detected.
-    ``legacy``: the board begins with a marker; supported only if ``LEGACY_BOARDS``.
+    ``legacy``: the board begins with a marker; supported only if ``LEGACY_BOARDS`` is True.
     """
     board = _board(book, grid, square, marker, legacy)
     if _CLASSES:

@@ -33,8 +33,9 @@ class Effort(enum.IntEnum):
     """Level of a search.
 
     A thorough search takes 1.5 times as long as a quick search and finds smaller markers. An
-    enlarged search doubles the width and height of images of up to 2.2 million pixels. It takes
-    five times as long and finds markers whose modules are little more than a pixel wide.
+    enlarged search doubles the width and height of images of up to 2.2 million pixels. An enlarged
+    search takes five times as long and finds markers whose modules are little more than a pixel
+    wide.
     """
 
     QUICK = 0
@@ -43,7 +44,8 @@ class Effort(enum.IntEnum):
 
 
 class MarkerError(ValueError):
-    """A marker that does not exist: unknown dictionary or id; the message gives the reason."""
+    """A marker or marker map that cannot exist, e.g. with an unknown dictionary or id; the message
+    gives the reason."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,7 +81,8 @@ def marker_dictionary(name: str) -> cv2.aruco.Dictionary:
 
 @lru_cache(maxsize=64)
 def marker_pattern(dictionary: str, marker_id: int) -> NDArray[np.bool_]:
-    """Return the modules of a marker and its black border: (n, n), True if white, row 0 on top.
+    """Return the modules of a marker, including its black border, as an array (n, n): True if
+    white, row 0 on top.
 
     Raises MarkerError for an unknown dictionary or an id out of its range.
     """

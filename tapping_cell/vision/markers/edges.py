@@ -26,9 +26,9 @@ _MIN_CONTRAST = 12.0
 """Minimum difference of the white and black grey levels at a side (six times the usual noise)."""
 _SOFT = 0.02
 """Maximum slope of the grey level at the ends of the window across an edge, per pixel and relative
-to the contrast. Above it the blur of the edge reaches the ends, and the levels measured there are
-wrong. The result is then biased towards the middle of the window, so the measurement is repeated
-until the window is centred on the result."""
+to the contrast. Above this slope, the blur of the edge reaches the ends, and the levels measured
+there are wrong. The result is then biased towards the middle of the window, so the measurement is
+repeated until the window is centred on the result."""
 _USUAL = 0.68
 """Half width of a window in modules, at most 4 pixels. The ends of a narrower window would lie in
 the blur of the edge. The ends of a wider window would, on small markers, lie in the blur of the
@@ -53,9 +53,9 @@ class MarkerEdges(NamedTuple):
     ``points`` (M, 4, BINS, 2) are in pixels, ``weights`` (M, 4, BINS) are the numbers of rows that
     they average, and ``corners`` (M, 4, 2) are the intersections of the sides, in pixels.
     ``spread`` (M,) is the standard deviation of the edge position measured in one row,
-    perpendicular to the side, in pixels. For the whole side, divide it by the square root of the
-    number of rows. ``black`` and ``white`` (M,) are grey levels. ``good`` (M,) marks markers with
-    four complete sides whose blur is not excessive.
+    perpendicular to the side, in pixels. For the whole side, divide this value by the square root
+    of the number of rows. ``black`` and ``white`` (M,) are grey levels. ``good`` (M,) marks markers
+    with four complete sides whose blur is not excessive.
 
     ``pull`` (M,) states, for the worst side of each marker, how far the measured side moves if its
     window moves by one pixel. It is 0 for an ideal edge. If it is 1, the measurement contains no
@@ -136,11 +136,12 @@ def _refine(image: Image, quads: Array, half_width: int) -> MarkerEdges:
 class _EdgeSamples:
     """One measurement of all 4 M sides of M markers.
 
-    ``p`` (4 M, R) are the row coordinates of a side and ``q`` the positions at which the edge
-    crosses them. ``kept`` (1 or 0) marks the inliers of the line q = offset + slope p, and
-    ``residual`` is the distance from it. ``black`` and ``white`` are the grey levels on both sides
-    of the edge in each row, ``mask`` (1 or 0) marks the rows that exist, and ``corners`` (M, 4, 2)
-    are the intersections of the lines. ``outward`` is 1 if q increases outwards, otherwise -1.
+    ``p`` (4 M, R) are the coordinates of the rows along a side, and ``q`` the positions at which
+    the edge crosses these rows. ``kept`` (1 or 0) marks the inliers of the line q = offset + slope
+    p, and ``residual`` is the distance from this line. ``black`` and ``white`` are the grey levels
+    on both sides of the edge in each row, ``mask`` (1 or 0) marks the rows that exist, and
+    ``corners`` (M, 4, 2) are the intersections of the lines. ``outward`` is 1 if q increases
+    outwards, otherwise -1.
     """
 
     half_width: int
@@ -212,7 +213,8 @@ def _sample_edges(image: Image, quads: Array, half_width: int) -> _EdgeSamples:
     )
     corners = _corners(offset, slope, along)
     # Blur measure: the mean grey-level step between neighbouring pixels at the two ends of the
-    # window, divided by the mean contrast. It is near 0 if the window contains the whole edge.
+    # window, divided by the mean contrast. This measure is near 0 if the window contains the whole
+    # edge.
     ends = np.abs(np.matmul(usable[:, None, :], sums[..., 3:])[:, 0])
     soft = ends.sum(axis=1) / np.maximum(2.0 * (contrast * usable).sum(axis=1), 1e-9)
     return _EdgeSamples(
@@ -326,12 +328,13 @@ def _uneven(samples: _EdgeSamples, white: Array) -> Array:
     length = samples.half_width + 0.5
     # ``slope`` is the gradient of the illumination towards increasing q, and the result is the
     # correction of q. The sign of the outward direction is not needed: it would be a factor of both
-    # and cancel.
+    # and would cancel.
     return np.asarray(-slope * length * (away - 0.5 * length))
 
 
 def _along(p: Array, levels: Array, mask: Array) -> Array:
-    """Fit straight lines along the sides to levels (2, S, R), and evaluate them at every row."""
+    """Fit straight lines along the sides to the levels (2, S, R). Return the value of these lines
+    at every row."""
     offset, slope, _ = _line(p, levels, mask)
     return np.asarray(offset[..., None] + slope[..., None] * p)
 
@@ -347,8 +350,8 @@ def _level_noise(window: int) -> float:
     measured in the same rows.
 
     The edge position is the sum of a window's pixels divided by the contrast. Each pixel of the
-    window has the weight -1 in the sum. The outermost pixels at each end, whose mean is a level,
-    have an additional total weight of half the window.
+    window has the weight -1 in the sum. A level is the mean of the outermost pixels at one end.
+    These pixels have an additional total weight of half the window.
     """
     end = _outermost(window)
     outer = 0.5 * window / end - 1.0
@@ -387,7 +390,7 @@ def _condense(
 
 
 def _corners(offset: Array, slope: Array, along: NDArray[np.intp]) -> Array:
-    """Return the corners (M, 4, 2) at which the lines q = offset + slope p (4 M) intersect. The
+    """Return the corners (M, 4, 2) at which the 4 M lines q = offset + slope p intersect. The
     coordinate p of a line is x if its ``along`` is 0, and y if it is 1."""
     each = np.arange(len(slope))
     normal = np.empty((len(slope), 2))

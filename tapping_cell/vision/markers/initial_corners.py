@@ -1,9 +1,9 @@
 """Correct detected marker corners that are too inaccurate for the measurement of edges.
 
-A detector takes the corners from a polygon around dark pixels. On photographs, a corner may be some
-pixels off, if glare, a shadow or the next marker touches the outline. The step from black to white
-is located along lines across each side, and a straight line is fitted robustly to the inliers
-(Huber 1981). The intersections of the sides are the corrected corners.
+A detector takes the corners from a polygon around dark pixels. In photographs, a corner may be some
+pixels off if glare, a shadow or an adjacent marker touches the outline of the marker. The step from
+black to white is located along lines across each side, and a straight line is fitted robustly to
+the inliers (Huber 1981). The intersections of the sides are the corrected corners.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _ROUNDS = 2
 def better_corners(image: Image, quad: Array, modules: int) -> Array:
     """Corrected corners (4, 2) of the black square near ``quad`` (4, 2), in pixels.
 
-    The corners of ``quad`` may be off by most of a module. If no consistent edges are found,
+    The corners of ``quad`` may be off by nearly one module. If no consistent edges are found,
     ``quad`` is returned unchanged.
     """
     corners = quad
@@ -40,7 +40,8 @@ def _once(image: Image, quad: Array, modules: int) -> Array:
     length = np.linalg.norm(along, axis=1)
     if not length.min() > 1.0:
         return quad
-    # Corners are clockwise in the image, where y points down, so outwards is to the left.
+    # In the image, y points down and the corners are clockwise, so the outward direction is to the
+    # left of the direction along a side.
     outward = np.stack([along[:, 1], -along[:, 0]], axis=-1) / length[:, None]
     # The search range across a side is proportional to the distance to the opposite side, because
     # in an oblique view, a module is narrower across two of the sides than along them.
@@ -54,8 +55,8 @@ def _once(image: Image, quad: Array, modules: int) -> Array:
     grey = cv2.remap(
         image, flat[..., 0], flat[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
     ).reshape(4, _ALONG, _ACROSS)
-    # The height of the step at a position is the sum of the samples just outside it (an eighth of
-    # all samples) minus the sum of as many samples just inside it.
+    # The height of the step at a position is the sum of the samples just outside this position (an
+    # eighth of all samples) minus the sum of the same number of samples just inside it.
     sums = np.pad(np.cumsum(grey.astype(float), axis=2), ((0, 0), (0, 0), (1, 0)))
     half, low, high = _ACROSS // 8, _ACROSS // 4, _ACROSS - _ACROSS // 4
     at = np.arange(low, high)

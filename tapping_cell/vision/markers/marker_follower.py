@@ -26,8 +26,8 @@ from tapping_cell.vision.rest_detection import RestSettings
 
 _SLOW = 0.0001
 _SLOW_TURN = 0.002
-"""Maximum displacement (m) and rotation (rad) between two frames for which the photometric
-alignment is used, which takes more computing time than the edges."""
+"""Maximum displacement (m) and rotation (rad) between two frames, up to which the photometric
+alignment is used. This alignment takes more computing time than the measurement of the edges."""
 
 
 class MarkerFollower(ObjectFollower):
@@ -73,7 +73,7 @@ class MarkerFollower(ObjectFollower):
         return None if quad is None else (quad, self._pattern)
 
     def complete(self, detections: Mapping[str, Detections]) -> bool:
-        """Return whether the marker was found, once or more than once."""
+        """Return whether the marker was found at least once."""
         found = detections[self.marker.dictionary]
         return self.marker.id in found.single or self.marker.id in found.repeated
 
@@ -98,7 +98,7 @@ class MarkerFollower(ObjectFollower):
             )
 
     def measure(self, frame: Frame) -> tuple[Array, Array] | Failure:
-        """Measure the marker at its detected or predicted position, or near it."""
+        """Measure the marker at its detected or predicted position, or near that position."""
         searched = self._searched_at == frame.stamp
         if searched and self._detected is None and self.failure is not None:
             return self.failure

@@ -12,8 +12,9 @@ from tapping_cell.vision.markers.search import patterns_agree
 from tapping_cell.vision.markers.small_markers import as_edges, fit_pattern
 
 _SMALL = 4.5
-"""Pixels per module below which the whole pattern is fitted. The fit is then four times as accurate
-as the edges, because the windows across the edges no longer end in uniform black and white."""
+"""Pixels per module below which the whole pattern is fitted. Below this size, the fit is four times
+as accurate as the edges, because the windows across the edges no longer end in uniform black and
+white."""
 _SMALL_EDGES = 2.5
 """Factor by which the noise of the edges is increased if a marker is smaller than ``_SMALL`` and
 its pattern cannot be fitted."""
@@ -25,9 +26,9 @@ def measure(
     """Measure the edges of markers near ``quads`` (M, 4, 2). Return the edges, and for each marker
     whether it was measured and its pattern verified (M,).
 
-    ``searched`` states that the quads come from a search, whose corners may be some pixels off and
-    are corrected if necessary. Otherwise the quads are predicted from the last positions of the
-    markers.
+    ``searched`` states whether the quads come from a search. The corners of such quads may be some
+    pixels off and are corrected if necessary. All other quads are predicted from the last positions
+    of the markers.
     """
     modules = np.array([pattern.shape[0] for pattern in patterns])
     small = narrowest(quads) < _SMALL * modules

@@ -14,8 +14,8 @@ from tapping_cell.vision.markers.edges import MarkerEdges
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseFit:
-    """Pose (x, y, theta) of the *marker* in table, its covariance (3, 3) from pixel noise, and the
-    apparent side of the marker (m)."""
+    """Pose (x, y, theta) of the *marker* in ``table``, its covariance (3, 3) from pixel noise, and
+    the apparent side of the marker (m)."""
 
     pose: Array
     covariance: Array
@@ -28,15 +28,15 @@ _CLEAN, _SMEARED = 0.03, 0.25
 """Noise level of ``MarkerEdges.pull``, and error of motion-blurred edges in pixels.
 
 An edge with a pull p above the noise level has an additional standard deviation of ``_SMEARED`` * p
-/ (1 - p). This was measured on rendered slides with motion blur of up to 14 pixels.
+/ (1 - p). This relation was measured on rendered slides with motion blur of up to 14 pixels.
 """
 _FREE, _USUAL_FREE = 4.0, 8.0
 """``_FREE``: degrees of freedom of the residuals when a square is fitted to four sides.
 ``_USUAL_FREE``: degrees of freedom of the prior for the usual size of these residuals."""
 _OBLONG_PIXELS, _OBLONG = 0.5, 0.006
 """Allowed difference of length and width: ``_OBLONG_PIXELS`` pixels or ``_OBLONG`` times the side,
-whichever is more. A difference above this limit and above that of ``_MORE_OBLONG`` means that an
-object beside the marker was mistaken for one of its sides."""
+whichever is more. A difference above both this limit and the limit given by ``_MORE_OBLONG`` means
+that an object beside the marker was mistaken for one of its sides."""
 _MORE_OBLONG, _MAX_OBLONG = 4.0, 0.03
 """A poor lens, bent paper or a sharpened image affects all markers. Therefore a difference of up to
 ``_MORE_OBLONG`` times the root mean square difference of the reference markers is also allowed,
@@ -97,8 +97,8 @@ def fit_marker(view: View, edges: MarkerEdges, row: int, marker: ObjectMarker) -
 
 def _usually_oblong(view: View, edges: MarkerEdges, row: int) -> float:
     """Return the allowed difference of length and width of the object's marker, as a fraction of
-    the side. It is a multiple of the difference of length and width of the reference markers (the
-    other rows), and 0 if there are fewer than three of them."""
+    the side. The allowed difference is a multiple of the difference of length and width of the
+    reference markers (the other rows), or 0 if there are fewer than three reference markers."""
     references = np.delete(edges.corners, row, axis=0)
     if len(references) < 3:
         return 0.0
@@ -109,8 +109,8 @@ def _usually_oblong(view: View, edges: MarkerEdges, row: int) -> float:
 
 
 def _metres(pixels: Array, seen: Array) -> Array:
-    """Matrix (2, 2) that converts steps of a pixel right and down to steps on the plane (m), from
-    four corners (4, 2) in the image and on the plane."""
+    """Matrix (2, 2) that converts steps of one pixel to the right and down to steps on the plane
+    (m), computed from four corners (4, 2) in the image and on the plane."""
     return np.asarray((seen[2:] - seen[:2]).T @ np.linalg.inv((pixels[2:] - pixels[:2]).T))
 
 
@@ -118,8 +118,9 @@ def _misfit(left: Array, weights: Array, noise: float) -> float:
     """Ratio, at least 1, by which the residuals of the four sides exceed their noise.
 
     Each of the four sides has a position and a rotation: eight degrees of freedom. A square
-    determines four of them. The residuals in the other four reveal glare, sharpening, compression
-    and bent paper. As four values are a small sample, a prior for their usual value is included.
+    determines four of them. The residuals in the other four degrees of freedom reveal glare,
+    sharpening, compression and bent paper. As four values are a small sample, a prior for their
+    usual value is included.
     """
     total = np.maximum(weights.sum(axis=1), 1e-9)
     place = (weights * left).sum(axis=1) / total
@@ -146,7 +147,7 @@ def _square_pose(seen: Array) -> Array:
 
 
 def object_pose(marker_pose: Array, covariance: Array, marker: ObjectMarker) -> tuple[Array, Array]:
-    """Pose and covariance of the object in table from those of its marker."""
+    """Compute pose and covariance of the object in ``table`` from those of its marker."""
     to_object = se2.inverse(marker.offset)
     pose = se2.compose(marker_pose, to_object)
     pose[2] = se2.wrap_angle(pose[2])
@@ -156,5 +157,5 @@ def object_pose(marker_pose: Array, covariance: Array, marker: ObjectMarker) -> 
 
 
 def marker_pose(pose: Array, marker: ObjectMarker) -> Array:
-    """Pose of the marker in table when the object is at ``pose``."""
+    """Compute the pose of the marker in ``table`` if the object is at ``pose``."""
     return se2.compose(pose, marker.offset)

@@ -1,15 +1,15 @@
-"""Photometric alignment of a marker at rest, which uses every pixel of the pattern.
+"""Photometric alignment of a marker at rest, using every pixel of the pattern.
 
 The grey values are modelled by the blurred printed pattern, projected by the known camera at the
 known height. The pose has three unknowns. The parameters of illumination and ink are linear: a gain
 and an offset, each with a gradient across the marker. To first order, the deviation of the blur
-from the assumed blur is linear too. Gauss-Newton starts from the pose given by the edges (Lucas and
-Kanade 1981; Baker and Matthews 2004 for the family of methods). A symmetric blur moves no edge, so
-it causes no bias.
+from the assumed blur is also a linear parameter. Gauss-Newton starts from the pose given by the
+edges (Lucas and Kanade 1981; Baker and Matthews 2004 for the family of methods). A symmetric blur
+moves no edge, so it causes no bias.
 
-Smoothing, sharpening and compression make the noise of neighbouring pixels correlated. The
-covariance is corrected for this correlation, which is estimated from the autocorrelation of the
-residuals.
+Smoothing, sharpening and compression make the noise of neighbouring pixels correlated. This
+correlation is estimated from the autocorrelation of the residuals, and the covariance is corrected
+for it.
 """
 
 from __future__ import annotations
@@ -27,12 +27,14 @@ from tapping_cell.vision.camera import Array, CameraModel, Image, View
 from tapping_cell.vision.markers.detection import ObjectMarker, marker_pattern
 
 _MARGIN = 0.4
-"""Width of the white border used, in modules; an adjacent object may begin beyond it."""
+"""Width of the used part of the white border, in modules; an adjacent object may begin beyond this
+part."""
 _LARGEST_STEP = 0.5
-"""Maximum distance of the result from the initial pose, in pixels. The initial pose, which comes
-from the edges, is more accurate than this."""
+"""Maximum distance of the result from the initial pose, in pixels. The initial pose comes from the
+edges, and its error is smaller than this distance."""
 _SMALLEST_STEP = 0.002
-"""Step in pixels at which Gauss-Newton has converged (a tenth of the error due to noise)."""
+"""Step size, in pixels, below which Gauss-Newton has converged (a tenth of the error due to
+noise)."""
 _POSE = slice(11, 14)
 """Columns of the design matrix for the pose of the marker (x, y, theta)."""
 _LAGS = 4
@@ -43,7 +45,7 @@ noise."""
 _SAME_PLACE = 0.03
 """Distance in pixels up to which the linearisation is reused. At this distance, the second-order
 error is at most a thousandth of a pixel. If the marker does not move, noise alone displaces the
-result by a fifth of this distance, where the error is below 5e-5 pixel."""
+result by a fifth of this distance. There, the second-order error is below 5e-5 pixel."""
 _SAME_LIGHT = 0.05
 """Maximum relative change of the contrast for which the linearisation is reused."""
 
@@ -65,9 +67,9 @@ class Template:
 class Alignment:
     """Result of an alignment.
 
-    ``pose`` (3,) of the marker is in table, and its ``covariance`` (3, 3) is due to pixel noise.
-    ``unexplained`` is the root mean square residual at edges of the pattern, in grey levels, and
-    ``blur`` the best-fitting sigma in m.
+    ``pose`` (3,) of the marker is in ``table``, and its ``covariance`` (3, 3) is due to pixel
+    noise. ``unexplained`` is the root mean square residual at edges of the pattern, in grey levels,
+    and ``blur`` the best-fitting sigma in m.
     """
 
     pose: Array
@@ -81,9 +83,9 @@ class Alignment:
 class Linearisation:
     """An alignment linearised at ``pose`` (3,), for frames in which the marker has not moved.
 
-    It holds the pixels on the marker (flat indices), the design matrix (N, 14) and its normal
-    matrix (14, 14). ``light`` (3,) is the contrast and its gradients. ``together`` (3, 3) corrects
-    the covariance for correlated noise, see :func:`_together`.
+    The linearisation holds the pixels on the marker (flat indices), the design matrix (N, 14) and
+    its normal matrix (14, 14). ``light`` (3,) is the contrast and its gradients. ``together`` (3,
+    3) corrects the covariance for correlated noise, see :func:`_together`.
     """
 
     pixels: NDArray[np.intp]
@@ -165,11 +167,11 @@ def align(
 def align_again(
     image: Image, linearisation: Linearisation, marker: ObjectMarker, start: Array
 ) -> Alignment | None:
-    """Align the marker in a frame in which it has not moved according to the edges (``start``).
+    """Align the marker in a frame in which, according to the edges (``start``), it has not moved.
 
-    One step of Gauss-Newton from the last alignment suffices. It takes a tenth of the time of
-    :func:`align`. None means only that the marker or the illumination changed, not that the marker
-    is absent.
+    One step of Gauss-Newton from the last alignment suffices. This step takes a tenth of the time
+    of :func:`align`. None means only that the marker or the illumination changed, not that the
+    marker is absent.
     """
     gap = start - linearisation.pose
     if math.hypot(gap[0], gap[1]) > _LARGEST_STEP * linearisation.pixel:
@@ -180,7 +182,7 @@ def align_again(
     residual = grey - columns @ np.linalg.solve(linearisation.normal, product)
     weight, spread = _robust_weights(residual)
     # Nearly all pixels have full weight. The normal matrix for full weights is known, so only the
-    # weight that the other pixels lack is subtracted from it.
+    # missing weights of the other pixels are subtracted from it.
     less = np.flatnonzero(weight < 1.0)
     excluded = columns[less]
     lost = excluded.T * (1.0 - weight[less])
@@ -243,8 +245,8 @@ def _judged(
 def _together(
     chosen: NDArray[np.intp], width: int, influence: Array, residual: Array
 ) -> NDArray[np.float64]:
-    """Return the covariance (3, 3) of the whitened pose parameters. It is the identity if the noise
-    of the pixels is independent, because the whitening assumes this.
+    """Return the covariance (3, 3) of the whitened pose parameters. The result is the identity if
+    the noise of the pixels is independent, because the whitening assumes independent noise.
 
     ``influence`` (N, 3) are the derivatives of the whitened parameters with respect to the pixels
     ``chosen`` (flat indices, rows of ``width``). The correlation of the noise is estimated from the
@@ -275,8 +277,9 @@ def _together(
 def _pixels(
     image: Image, view: View, marker: ObjectMarker, start: Array
 ) -> tuple[Array, Array, NDArray[np.intp]] | None:
-    """Return the projections of the marker's pixels to its plane (x and y, m in table), and the
-    flat indices of these pixels; None if the marker is partly outside the image or too small."""
+    """Return the projections of the marker's pixels to its plane (x and y in ``table``, in m), and
+    the flat indices of these pixels; None if the marker is partly outside the image or too
+    small."""
     modules = marker_pattern(marker.dictionary, marker.id).shape[0]
     reach = marker.size * (0.5 + _MARGIN / modules)
     cos, sin = math.cos(start[2]), math.sin(start[2])

@@ -1,11 +1,12 @@
 """Check that the object's marker appears as a square with the size and height that the files state.
 
-A marker that is lifted, tilted or not of the stated size appears too large, too small or not
-square. A single image does not show which of these is the cause. However, the resulting error of
-the pose can be estimated from the deviation of the shape. If a marker at the horizontal
-distance r from the camera is higher than assumed by a fraction s of the camera's height, it appears
-larger by s and further away by s r. A marker tilted by an angle t appears rotated by up to
-t r / (2 h), where h is the camera's height, and sheared or elongated by the same amount.
+A marker that is lifted, tilted or of another size than stated appears as a square of another size,
+or not as a square. A single image does not show which of these three deviations is the cause.
+However, the resulting error of the pose can be estimated from the deviation of the shape. If a
+marker at the horizontal distance r from the camera is higher than assumed by a fraction s of the
+camera's height, it appears larger by s and further away by s r. A marker tilted by an angle t
+appears rotated by up to t r / (2 h), where h is the camera's height, and sheared or elongated by
+the same amount.
 """
 
 from __future__ import annotations
@@ -27,10 +28,10 @@ _SHARE, _PIXELS, _SMEARED, _CONFIDENCE = 0.0006, 0.06, 0.3, 5.0
 
 The limit is the sum of four contributions. ``_SHARE`` is a constant relative error (of print and
 lens). ``_PIXELS`` is an error of the side's length in pixels (position of edges within pixels,
-nonlinear grey levels). ``_SMEARED`` * p / (1 - p) is the error, in pixels, due to blurred edges,
-where p is ``MarkerEdges.pull``. ``_CONFIDENCE`` is a number of standard deviations of the noise.
-None of 140 images exceeded this limit. The markers' sides measured 28 to 149 pixels, and the images
-included gamma, Bayer patterns and blur.
+nonlinear grey levels). ``_SMEARED`` is an error of blurred edges in pixels; it is multiplied by p /
+(1 - p), where p is ``MarkerEdges.pull``. ``_CONFIDENCE`` is a number of standard deviations of the
+noise. In none of 140 images did the deviation exceed this limit. The markers' sides were 28 to 149
+pixels long, and the images included the effects of gamma, Bayer patterns and blur.
 """
 
 
@@ -40,7 +41,7 @@ class ShapeDeviation:
 
     ``stretch`` is the relative enlargement and ``strain`` the relative elongation or shear; values
     up to ``allowance`` are not significant. ``covariance`` (3, 3) is the uncertainty of the
-    object's pose (m, m, rad) due to the part that is significant.
+    object's pose (m, m, rad) due to the significant part of the deviation.
     """
 
     stretch: float
@@ -57,7 +58,8 @@ class ShapeDeviation:
 def shape_deviation(
     view: View, edges: MarkerEdges, row: int, marker: ObjectMarker, fit: PoseFit, bloom: float
 ) -> ShapeDeviation:
-    """Compute how marker ``row`` of ``edges``, whose pose is ``fit``, differs from its file.
+    """Compute the deviation of marker ``row`` of ``edges`` from the marker's file. ``fit`` is the
+    fitted pose of the marker.
 
     ``bloom`` is the mean displacement (pixels) of the reference markers' sides outwards. This
     displacement is subtracted, because an effect of camera and ink on all markers is not a
@@ -148,8 +150,9 @@ def _covariance(
     """Covariance (3, 3) of the object's pose for these errors of the marker's shape."""
     away = stretch * (pose[:2] - view.pose.position[:2])
     # An object with the tilt t touches the table at its rim, about one marker side from its centre.
-    # The centre is therefore lifted by t times this side and appears displaced by r / h times the
-    # lift, which is twice the strain t r / (2 h) times the side (see the module's docstring).
+    # The centre is therefore lifted by t times this side and appears displaced by r / h times this
+    # lift. The displacement is twice the strain t r / (2 h) times the side (see the module's
+    # docstring).
     lifted = 2.0 * strain * marker.size
     covariance = np.zeros((3, 3))
     covariance[:2, :2] = np.outer(away, away) + lifted**2 * np.eye(2)

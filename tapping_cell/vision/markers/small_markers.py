@@ -35,8 +35,8 @@ _MAX_UNEXPLAINED = 0.18
 """Upper limit of the root mean square residual of the fit, relative to the contrast. The largest
 value measured on 530 markers in photographs was 0.16."""
 _VAGUE, _MIN_MODULE = 0.15, 1.2
-"""Maximum standard deviation of a side, in modules, and minimum width of a module, in pixels. On
-the photographs mentioned above, the standard deviation was at most 0.10 for correct patterns and at
+"""Maximum standard deviation of a side, in modules, and minimum width of a module, in pixels. For
+the markers in the photographs, the standard deviation was at most 0.10 for correct patterns and at
 least 0.2 for wrong patterns."""
 _MODULE_OFF = 0.4
 """Maximum deviation of a module's mean from the pattern, relative to the contrast."""
@@ -48,8 +48,8 @@ photographs)."""
 
 
 _TANH = 0.7978846, 0.0356774
-"""Coefficients of 1/2 + tanh(a z + b z^3) / 2, which approximates the normal distribution function
-to 3e-4 in a tenth of the time."""
+"""Coefficients a and b of 1/2 + tanh(a z + b z^3) / 2. This function approximates the normal
+distribution function to 3e-4 and takes a tenth of its computing time."""
 _UNIT = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
 
 
@@ -204,9 +204,9 @@ def _model(seen: Array, matrix: Array, blur: float, black: Array) -> tuple[Array
 
 
 def _fields(places: Array) -> tuple[Array, Array]:
-    """Return the derivatives (N, 8) of the coordinate u of points (N, 2) on the marker, and those
-    of v, with respect to the eight parameters of a small homography. The matrix of this homography
-    is 1 + (a b c; d e f; g h 0)."""
+    """Return the derivatives (N, 8) of the coordinate u and the derivatives (N, 8) of the
+    coordinate v of points (N, 2) on the marker with respect to the eight parameters of a small
+    homography. The matrix of this homography is the identity plus (a b c; d e f; g h 0)."""
     u, v = places.T
     one, none = np.ones_like(u), np.zeros_like(u)
     return (
@@ -280,8 +280,8 @@ def _side_deviation(corners: Array, covariance: Array) -> float:
     """Return the standard deviation, in pixels, of the sides of a marker with these corners (4, 2)
     and their covariance (8, 8).
 
-    It is large enough that the sides, treated as four independent lines, determine neither the
-    position nor the angle of the marker more accurately than the corners.
+    This standard deviation is large enough that the sides, treated as four independent lines,
+    determine neither the position nor the angle of the marker more accurately than the corners do.
     """
     to_middle = np.tile(np.eye(2), 4) / 4.0
     place = float(np.linalg.eigvalsh(to_middle @ covariance @ to_middle.T).max())
@@ -289,7 +289,8 @@ def _side_deviation(corners: Array, covariance: Array) -> float:
     turn = np.stack([-arm[:, 1], arm[:, 0]], axis=-1).reshape(-1) / (arm**2).sum()
     angle = float(turn @ covariance @ turn)
     side = float(np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1).mean())
-    # Lines of variance s^2 locate a square with variance s^2 / 2 and its angle with 3 s^2 / side^2.
+    # Four lines with the variance s^2 determine the position of a square with the variance s^2 / 2,
+    # and its angle with the variance 3 s^2 / side^2.
     return float(np.sqrt(max(2.0 * place, angle * side**2 / 3.0)))
 
 

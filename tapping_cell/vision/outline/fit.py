@@ -1,11 +1,11 @@
-"""Fit an outline to an image, using all pixels of a band along the rim and those around the dot.
+"""Fit an outline to an image, using all pixels in a band along the rim and around the dot.
 
 In the model (``model.py``), the grey levels of top, wall and surroundings are fitted separately in
 every sector of the rim, because light, shadows and reflections of the wall differ around the
 object. The rim is therefore located as an edge, not at a fixed grey level. A wall too narrow to be
 distinguished from the edge increases the covariance. Occluded sectors are outliers and are
 excluded. The solver is Gauss-Newton, with the levels eliminated sector by sector (Schur
-complement). A stationary object is measured with the last linearisation, levels and weights.
+complement). For a stationary object, the last linearisation, levels and weights are used again.
 """
 
 from __future__ import annotations
@@ -65,8 +65,8 @@ _SAME_LIGHT = 0.05
 _LONG = 0.15
 """Minimum length of a long side of a polygon, as a fraction of the length of the rim."""
 _BRIGHTEST = 2.5
-"""The noise of a sector is assumed to increase with its brightness, until it is this many times as
-bright as a typical sector."""
+"""The noise of a sector is assumed to increase with the sector's brightness, up to this multiple of
+the brightness of a typical sector."""
 _ROUNDS_AGAIN, _STEADY = 4, 0.004
 """Maximum number of iterations in :func:`fit_again`, and the change (pixels) below which they
 stop."""
@@ -76,12 +76,12 @@ stop."""
 class OutlineFit:
     """Result of an outline fit.
 
-    ``pose`` (3,) is the object's pose in table (m, m, rad) and ``covariance`` (3, 3) is due to
+    ``pose`` (3,) is the object's pose in ``table`` (m, m, rad) and ``covariance`` (3, 3) is due to
     pixel noise. ``size`` is the apparent size (1: as configured). ``seen`` is the fraction of the
     rim that agrees with the model, and ``least_side`` the lowest such fraction among a polygon's
     long sides. ``contrast`` and ``dot_contrast`` are the contrasts of the rim and of the dot, in
-    grey levels; they are positive if they have the configured sign. ``noise`` is the noise of the
-    pixels in grey levels, and ``blur`` a sigma in pixels.
+    grey levels; a positive value has the configured sign. ``noise`` is the noise of the pixels in
+    grey levels, and ``blur`` a sigma in pixels.
     """
 
     pose: Array
@@ -99,7 +99,7 @@ class OutlineFit:
 @dataclass(frozen=True, slots=True, eq=False)
 class _Scene:
     """Constants of a fit. ``pixel`` is the size of a pixel in m at the height of the object's top,
-    ``step`` (2,) the object's motion since the last frame in pixels, which causes motion blur, and
+    ``step`` (2,) the object's motion since the last frame in pixels (the cause of motion blur), and
     ``with_dot`` states whether the dot is fitted."""
 
     outline: ObjectOutline
@@ -121,7 +121,7 @@ class _Design:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Linearisation:
-    """State and linearised model of a fit before its last step. They are used again to measure a
+    """State and linearised model of a fit before its last step. Both are used again to measure a
     stationary object."""
 
     scene: _Scene
@@ -160,8 +160,8 @@ def fit_outline(
     dot = outline.dot if with_dot else None
     scene = _Scene(outline, pixel, width, moving, not coarse, size_spread, dot is not None)
     smeared = float(np.hypot(*moving)) > _SMEARED
-    # For an object with a dot, a fit without the dot only provides the start of a fit with the dot,
-    # so it may be rough.
+    # For an object with a dot, a fit without the dot provides only the start of a fit with the dot,
+    # so the fit without the dot may be rough.
     rough = coarse or smeared or (outline.dot is not None and not with_dot)
     most = ROUGH_PIXELS if rough else MAX_PIXELS
     state = _State(start.copy(), blur, size)
@@ -192,10 +192,11 @@ def fit_outline(
 
 
 def fit_again(image: Image, linearisation: Linearisation, expected: Array) -> OutlineFit | None:
-    """Fit the outline in a frame in which the object has not moved according to ``expected`` (3,).
+    """Fit the outline in a frame in which, according to ``expected`` (3,), the object has not
+    moved.
 
-    This takes a fifth of the time of :func:`fit_outline`. None means only that the object or the
-    illumination changed, not that the object is absent.
+    This fit takes a fifth of the time of :func:`fit_outline`. None means only that the object or
+    the illumination changed, not that the object is absent.
     """
     scene, band, around = linearisation.scene, linearisation.band, linearisation.around
     if _way(expected - linearisation.state.pose, scene) > 2.0 * _SAME_PLACE:
@@ -264,8 +265,8 @@ class _State:
         return self.rounds >= 4
 
     def start_anew(self, band: Band) -> None:
-        """Reset the weights, because the pixels changed. The levels are kept unless the number of
-        sectors changed too."""
+        """Reset the weights, because the pixels changed. The levels are kept if the number of
+        sectors is unchanged."""
         if self.levels is None or len(self.levels) != len(band.counts):
             self.levels = self.dot_levels = None
         self.weight, self.dot_weight = band.real.astype(float), None
@@ -390,8 +391,8 @@ class _State:
 
     def _compare(self, scene: _Scene, left: Array, step: Array) -> None:
         """Exclude sectors that disagree with the position of the whole rim. Store in ``scatter``
-        the mean squared deviation of the others relative to their noise, at least 1. It is a
-        factor of the covariance."""
+        the mean squared deviation of the remaining sectors relative to their noise, at least 1. The
+        covariance is multiplied by this value."""
         power = np.maximum(left[:, GLOBALS, GLOBALS], 1e-9)
         shift = (left[:, GLOBALS, -1] - left[:, GLOBALS, :GLOBALS] @ step) / power
         sigma = self.noise / np.sqrt(power)
@@ -434,7 +435,7 @@ class _State:
 
     def _prior(self, scene: _Scene) -> Array:
         """Return the precisions (GLOBALS,) of the priors of the parameters that are common to all
-        sectors. They are very low for the pose."""
+        sectors. The precisions are very low for the pose."""
         blur = 4.0 if scene.measures else 1e8
         moving = float(np.hypot(*scene.step)) > _SMEARED and scene.measures
         place = 1.0 / (5.0 * scene.pixel) ** 2

@@ -59,9 +59,9 @@ class Shape:
     """The unknowns of the fit.
 
     ``pose`` is (3,) and ``blur`` a sigma in pixels. ``size`` and ``dot_size`` are relative to the
-    file's top and dot. ``smear`` is the variance of the motion blur divided by the square of
-    ``step`` (2,), which is the motion from frame to frame in pixels. ``pixel`` is the size of a
-    pixel in m at the top.
+    sizes of top and dot in the object's file. ``smear`` is the variance of the motion blur divided
+    by the square of ``step`` (2,), which is the motion from frame to frame in pixels. ``pixel`` is
+    the size of a pixel in m at the top.
     """
 
     pose: Array

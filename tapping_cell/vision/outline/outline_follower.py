@@ -25,8 +25,8 @@ from tapping_cell.vision.outline.shape import ObjectOutline
 from tapping_cell.vision.rest_detection import RestSettings
 
 _LONGEST_WINDOW = 18
-"""Maximum number of frames used to prove that the object is at rest. More are needed than for a
-marker, because an outline is measured less accurately."""
+"""Maximum number of frames used to prove that the object is at rest. More frames are needed than
+for a marker, because an outline is measured less accurately."""
 _RIM_BIAS = 7e-6
 """Standard deviation (m) of the error common to all frames, measured on rendered scenes. Its causes
 are the position of the edge within a pixel, uneven light across the rim, and the side wall.

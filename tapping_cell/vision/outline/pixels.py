@@ -16,8 +16,8 @@ from tapping_cell.vision.markers.photometric import window_rays
 from tapping_cell.vision.outline.shape import Dot, ObjectOutline
 
 SOFTENED = 2.5
-"""Sigma, in pixels, of the blur that is applied to the image before a coarse fit. It extends the
-range of convergence."""
+"""Sigma, in pixels, of the blur that is applied to the image before a coarse fit. This blur extends
+the range of convergence."""
 MAX_PIXELS, ROUGH_PIXELS = 3000, 1000
 """Maximum number of pixels in a fine fit, and in a coarse or motion-blurred fit."""
 _SECTORS = 24

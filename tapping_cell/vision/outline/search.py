@@ -3,8 +3,8 @@
 Several candidate positions are found, and the outline is fitted at each of them. Candidates are
 blobs of about the right area that are darker or brighter than their surroundings. They are
 extracted by morphological closing or opening of a downscaled image, with several thresholds,
-because the object's brightness is unknown. If none of them fits, evenly lit patches are tried
-(``patches``). A polygon's angle is found from the distances of its rim from its
+because the object's brightness is unknown. If the outline fits none of these blobs, evenly lit
+patches are tried (``patches``). A polygon's angle is found from the distances of its rim from its
 centre. The dot resolves the angle of a disk and the ambiguity of a symmetric polygon.
 """
 
@@ -56,15 +56,16 @@ _SHADES = (0.06, 0.1, 0.16, 0.25, 0.4, 0.7)
 """Thresholds for the relative difference of a blob's brightness from the surroundings."""
 _AREAS = (0.65, 1.45)
 _LARGEST_HULL_RATIO = 1.18
-"""``_AREAS`` are the minimum and maximum area of a blob, which may include walls and shadows,
-relative to the area of the object's top. ``_LARGEST_HULL_RATIO`` is the maximum area of a blob's
-convex hull, relative to the area of the blob."""
+"""``_AREAS`` are the minimum and maximum area of a blob, relative to the area of the object's top.
+A blob may include walls and shadows. ``_LARGEST_HULL_RATIO`` is the maximum area of a blob's convex
+hull, relative to the area of the blob."""
 _FORM = 0.12
-"""Maximum relative deviation (rms) of a blob's shape, which may be due to walls or occlusion."""
+"""Maximum relative deviation (rms) of a blob's shape from the outline. Walls and occlusion cause
+such deviations."""
 _CANDIDATES = 6
 _NEAR = 30
 """Maximum error of the angle found without considering the wall, in steps of
-:func:`turn_differences`. It corresponds to 15 degrees."""
+:func:`turn_differences`. The limit corresponds to 15 degrees."""
 _DOUBTFUL = 0.006
 """Relative difference between the fitted size and the size in the file, above which the fit is
 repeated with the size fixed."""
@@ -108,7 +109,7 @@ def find_outlines(
 ) -> tuple[list[OutlineFit], list[Refused]]:
     """Find all outlines in the image; return also the rejected candidates.
 
-    ``known`` (M, 4, 2) are the corners in table of the reference markers' black squares.
+    ``known`` (M, 4, 2) are the corners, in ``table``, of the reference markers' black squares.
     """
     found: list[OutlineFit] = []
     refused: list[Refused] = []
@@ -179,7 +180,8 @@ def fit_surely(
     step: Array | None = None,
     with_dot: bool = True,
 ) -> OutlineFit | None:
-    """Call :func:`fit_outline`, and repeat it with the size of the file if the size seems wrong.
+    """Call :func:`fit_outline`, and repeat it with the size fixed to that of the file if the fitted
+    size seems wrong.
 
     One side of a tall polygon may be confused with a wall as bright as the top, so that the outline
     is displaced and too small. This wrong fit is nearly as good as the correct fit. However, a fit
@@ -212,7 +214,7 @@ def _unlike(outline: ObjectOutline, rough: OutlineFit | None, rim: OutlineFit | 
 
 
 def accept(fit: OutlineFit, outline: ObjectOutline) -> OutlineFit | Refused:
-    """Return the fit if it is the object's, otherwise the reason for rejecting it."""
+    """Return the fit if it is a fit of the object, otherwise the reason for rejecting it."""
     if abs(fit.size - 1.0) > LARGEST_STRETCH:
         return wrong_size(fit)
     least = least_seen(outline)
@@ -385,8 +387,8 @@ def _silhouette(view: View, outline: ObjectOutline, pose: Array) -> Array:
 def stands_out(image: Image, view: View, outline: ObjectOutline, pose: Array) -> bool:
     """Return False if the rim cannot be within some pixels of a pose (3,).
 
-    The test compares the grey levels on both sides of the rim at that pose, which takes a hundredth
-    of the time of a failed fit.
+    The test compares the grey levels on both sides of the rim at that pose. The test takes a
+    hundredth of the time of a failed fit.
     """
     pixel = (float(view.pose.position[2]) - outline.height) / view.camera.fx
     points = _walked(outline.points(24))

@@ -233,7 +233,7 @@ def turn_differences(radii: Array, model: Array) -> Array:
 
 
 def turns_left(corners: Array) -> bool:
-    """Return whether a polygon with corners (N, 2) turns to the left at each of them."""
+    """Return whether a polygon with corners (N, 2) turns to the left at each corner."""
     along = np.roll(corners, -1, axis=0) - corners
     return bool(np.all(_cross(along, np.roll(along, -1, axis=0)) > 0.0))
 

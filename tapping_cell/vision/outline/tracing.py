@@ -34,7 +34,7 @@ Mask = NDArray[np.uint8]
 
 _AROUND = 0.04
 """Width (m) of a margin around the area that the centres of the reference markers enclose. The
-object may lie in this area and in the margin."""
+object may lie anywhere in this area or in the margin."""
 _FREE_RIM = 1.4
 """Side of the square that a reference marker and its white border cover, relative to the side of
 the marker."""
@@ -74,11 +74,11 @@ class NotTraced(ValueError):
 class TracedObject:
     """An object traced in one image, in m and rad.
 
-    The shape is a disk of ``radius`` or a convex polygon of ``vertices`` (counter-clockwise). Its
-    frame has its origin at the centre of the area and is aligned with the marker or, without a
-    marker, with the longest side. ``pose`` is the pose in ``table``, and ``brighter`` is True if
-    the object is brighter than the table. ``deviation`` is the root mean square distance of the rim
-    from the shape.
+    The shape is a disk of ``radius`` or a convex polygon of ``vertices`` (counter-clockwise). The
+    object's frame has its origin at the centre of the area and is aligned with the marker or,
+    without a marker, with the longest side. ``pose`` is the pose in ``table``, and ``brighter`` is
+    True if the object is brighter than the table. ``deviation`` is the root mean square distance of
+    the rim from the shape.
     """
 
     radius: float | None

@@ -49,13 +49,14 @@ class TableFit:
     """Result of a table fit.
 
     Directions are undistorted image coordinates (x / z, y / z). ``pose`` is the camera's pose and
-    ``covariance`` (6, 6) that of the six parameters of ``CameraPose.moved``. ``used`` (M,) marks
-    the inlier markers, and ``residuals`` (U, 4, 2) are the residuals of their corners, as
-    directions. ``jacobian`` (8 U, 6) is the derivative of the corners with respect to the pose, and
-    ``gain`` (6, 8 U) that of the fitted pose with respect to the corners. ``bloom`` is the common
-    outward displacement of all markers' sides, in units of directions. ``error`` is the largest
-    error of a marker's corners (pixels, root mean square). ``unsquare`` is the standard deviation
-    by which the sides deviate from squares in excess of the noise, in units of directions.
+    ``covariance`` (6, 6) the covariance of the six parameters of ``CameraPose.moved``. ``used``
+    (M,) marks the inlier markers, and ``residuals`` (U, 4, 2) are the residuals of their corners,
+    as directions. ``jacobian`` (8 U, 6) is the derivative of the corners with respect to the pose,
+    and ``gain`` (6, 8 U) the derivative of the fitted pose with respect to the corners. ``bloom``
+    is the common outward displacement of all markers' sides, in units of directions. ``error`` is
+    the largest error of a marker's corners (pixels, root mean square). ``unsquare`` is the standard
+    deviation by which the sides deviate from squares in excess of the noise, in units of
+    directions.
     """
 
     pose: CameraPose
@@ -141,10 +142,10 @@ def fit_table(
 
     ``noise`` (M,) is :func:`side_noise`, ``focal`` the number of pixels per unit of direction. Ink
     bleeding, nonlinear grey levels and stray light displace the sides of all markers outwards or
-    inwards by the same unknown amount, which is fitted with the pose. The fit begins with the
-    markers in ``used`` (M,), or with all markers. As long as a marker disagrees with the rest by
-    more than ``settings.displaced`` pixels, one marker is excluded and the fit is repeated. Returns
-    None if fewer than ``settings.least_references`` remain.
+    inwards by the same unknown amount. This amount is fitted together with the pose. The fit begins
+    with the markers in ``used`` (M,), or with all markers. As long as a marker disagrees with the
+    rest by more than ``settings.displaced`` pixels, one marker is excluded and the fit is repeated.
+    Returns None if fewer than ``settings.least_references`` remain.
     """
     count = points.shape[0]
     flat = at_height(points).reshape(-1, 3)
@@ -174,7 +175,7 @@ def fit_table(
         left = left - bloom * np.linalg.solve(white, outwards[..., None])[..., 0]
         off = np.sqrt(2.0 * (left**2).mean(axis=1)) * focal
         worst = float(off[used].max())
-        # An outlier can only be identified among three or more markers.
+        # An outlier can be identified only among three or more markers.
         if used.sum() >= 3 and worst > settings.displaced:
             wrong = _wrong_one(white[used], left[used], weighted.reshape(-1, 8, 6))
             if wrong is not None:
@@ -200,11 +201,11 @@ def fit_table(
 
 def _wrong_one(white: Array, left: Array, jacobian: Array) -> int | None:
     """Return the index of the marker whose exclusion reduces the sum of the squared residuals the
-    most; None if no marker reduces it by half. ``left`` (M, 8) are the residuals.
+    most; None if no exclusion halves this sum. ``left`` (M, 8) are the residuals.
 
-    This need not be the marker with the largest residual, because a marker far from the others
-    pulls the fit towards itself (its leverage; Cook and Weisberg 1982). ``white`` is (M, 8, 8) and
-    the whitened ``jacobian`` (M, 8, 6).
+    The returned marker need not be the marker with the largest residual, because a marker far from
+    the other markers pulls the fit towards itself (its leverage; Cook and Weisberg 1982). ``white``
+    is (M, 8, 8) and the whitened ``jacobian`` (M, 8, 6).
     """
     covariance = np.linalg.inv(np.einsum("mki,mkj->ij", jacobian, jacobian))
     error = (white @ left[..., None])[..., 0]
@@ -221,7 +222,7 @@ def consensus(
 
     The camera's pose is computed from every pair of markers, up to ``_MAX_PAIRS`` pairs, and the
     pose with the most inliers is chosen (Fischler and Bolles 1981, but without random selection).
-    Returns None unless the inliers are a majority and at least three.
+    Returns None if fewer than three markers, or not a majority of the markers, are inliers.
     """
     count = len(points)
     flat = at_height(points)

@@ -44,9 +44,10 @@ def table_refusal(
 
 
 def table_notice(table: TableTracker, doubled: list[int], missed: list[int]) -> str:
-    """Warning about reference markers that does not invalidate the pose; empty if there is none.
+    """Warning about reference markers for a frame with a valid pose; empty if there is none.
 
-    ``doubled`` are ids that are seen more than once, ``missed`` rows of the map that are not seen.
+    ``doubled`` are ids that are seen more than once, ``missed`` are rows of the map whose markers
+    are not seen.
     """
     if table.displaced:
         names = ", ".join(map(str, table.displaced))

@@ -65,7 +65,7 @@ class ReferenceMarkers:
 
     def next_group(self) -> dict[int, Array]:
         """Return the predicted corners (4, 2) of the markers to measure in this frame, by row of
-        the map. Every call returns another group of markers, in turn."""
+        the map. Successive calls return successive groups of markers."""
         if self._quads is None:
             return {}
         count = len(self._quads)
@@ -83,8 +83,8 @@ class ReferenceMarkers:
         """Measure the markers near ``quads``, and the object markers in ``others``.
 
         Return the edges of the detected markers, their row indices in the marker map, and for each
-        of the ``others`` its edges, or None if it was not found. ``searched`` states that the
-        quads come from a search, whose corners may be some pixels off.
+        of the ``others`` its edges, or None if it was not found. ``searched`` states whether the
+        quads come from a search; the corners of such quads may be some pixels off.
         """
         rows = np.array(list(quads), dtype=np.intp)
         aims = {number: aim for number, aim in enumerate(others) if aim is not None}

@@ -1,13 +1,13 @@
 """Model the residuals of the reference markers as errors of the lens and of the print.
 
-After the camera's pose is fitted, the references still deviate from their positions in the map.
-Part of this is due to an inaccurate lens calibration, part is individual to each marker (printing,
-gluing), and part is noise. All three are modelled as Gaussian. The amplitudes of the first two are
-unknown. Conditioned on the references, the model gives the expected error of a pose measured at any
-place and height above the table, and the remaining uncertainty. This is kriging with the camera's
-pose as trend (Rasmussen and Williams 2006, chapter 2). The results for a grid of amplitudes are
-averaged with the restricted likelihood of the amplitudes as weight, so that the ambiguity left by
-few references increases the covariance.
+After the camera's pose is fitted, the references still deviate from their positions in the map. One
+part of these deviations is due to an inaccurate lens calibration, one part is individual to each
+marker (printing, gluing), and one part is noise. All three parts are modelled as Gaussian. The
+amplitudes of the errors of lens and markers are unknown. Conditioned on the references, the model
+gives the expected error of a pose measured at any place and height above the table, and the
+remaining uncertainty. This is kriging with the camera's pose as trend (Rasmussen and Williams 2006,
+chapter 2). The results for a grid of amplitudes are averaged with the restricted likelihood of the
+amplitudes as weight, so that the ambiguity left by few references increases the covariance.
 """
 
 from __future__ import annotations
@@ -24,28 +24,28 @@ _LENS = 0.7, 0.7, 0.0015, 0.004, 0.00012, 0.00012
 """Typical standard deviations of the lens parameters, as reported by OpenCV's calibration for some
 twenty images of a board. A common amplitude of all lens errors is estimated from the references.
 
-``_LENS`` contains those of cx, cy, k1, k2, p1 and p2. Deviations of cx and cy are in pixels, and so
-are those of the focal lengths: ``_FOCAL`` is for their common error, and ``_ASPECT`` for half the
-difference of their errors. If a calibration states deviations (``CameraModel.deviations``), these
-are used instead.
+``_LENS`` contains the standard deviations of cx, cy, k1, k2, p1 and p2. Deviations of cx, cy and
+the focal lengths are in pixels. ``_FOCAL`` is for the common error of the two focal lengths, and
+``_ASPECT`` for half the difference of their errors. If a calibration states deviations
+(``CameraModel.deviations``), these are used instead.
 """
 _STATED_ASPECT = 0.25
 """Standard deviation of half the difference of the two focal lengths' errors, as a fraction of the
-standard deviation of their common error. It is used if the calibration states deviations. Measured:
-0.05 for calibrations from images of a board."""
+standard deviation of their common error. This value is used if the calibration states deviations.
+Measured: 0.05 for calibrations from images of a board."""
 _FIELD = np.geomspace(0.002, 12.0, 12)
 _PRINT = np.geomspace(2e-7, 6e-4, 20)
 """Grids of the amplitude of the lens errors, in units of the standard deviations in ``_LENS``, and
 of the amplitude of a marker's misplacement, in m. Coarser steps make the covariance too small if
-the true value is between two of them."""
+the true value is between two steps."""
 _TURNS = (0.1, 0.3, 1.0)
-"""Assumed ratios of two displacements of a marker's corners: the one due to its rotation error,
-divided by the one due to its position error. The lowest ratio is typical of markers printed on one
-sheet, the highest of markers glued individually."""
+"""Assumed ratios of two displacements of a marker's corners: the displacement due to the marker's
+rotation error, divided by the displacement due to its position error. The lowest ratio is typical
+of markers printed on one sheet; the highest ratio is typical of markers glued individually."""
 _PRIOR = (0.7, 1.0), (4e-5, 1.3)
-"""Prior distributions of the amplitude of the lens errors and of that of a marker's misplacement:
-typical value, and standard deviation of its logarithm. They matter if there are only two or three
-references."""
+"""Prior distributions of two amplitudes, of the lens errors and of a marker's misplacement: the
+typical value of the amplitude, and the standard deviation of its logarithm. The priors matter if
+there are only two or three references."""
 _EXACT = (0.3, 0.1, 0.25)
 """Prior probabilities that both lens and print are practically exact, that only the lens is exact,
 and that only the print is exact. Exact means that the amplitude is the smallest one of its
@@ -82,8 +82,9 @@ class SystematicError:
         error.
 
         ``response`` (3, 6) is the derivative of this pose with respect to the camera's pose, and
-        ``lens`` (3, 8) that with respect to the lens parameters (:func:`lens_shifts`). The
-        covariance includes the noise of the reference markers, but not of the object's marker.
+        ``lens`` (3, 8) its derivative with respect to the lens parameters (:func:`lens_shifts`).
+        The covariance includes the noise of the reference markers, but not the noise of the
+        object's marker.
         """
         own, cross = lens @ lens.T, lens @ self.lens.T
         pulled = cross @ self.gain.T @ response.T
@@ -118,7 +119,7 @@ def condition(
     calibration states, and False if it is scaled by typical deviations.
     """
     # Use only the position and rotation of each marker. Ink, stray light and blur make a marker
-    # appear larger, smaller or stretched, which must not be attributed to the lens.
+    # appear larger, smaller or stretched. These effects must not be attributed to the lens.
     poses = _poses_of(points)
     full, _ = np.linalg.qr(poses @ trend, mode="complete")
     basis = poses.T @ full[:, 6:]
@@ -151,8 +152,8 @@ def condition(
 
 
 def _prior(field: Array, print_: Array, stated: bool) -> Array:
-    """Return the prior probabilities of combinations of amplitudes, whose squares are ``field``
-    (K,) for the lens errors and ``print_`` (K,) for the misplacement of markers."""
+    """Return the prior probabilities (K,) of combinations of amplitudes. The squared amplitudes are
+    ``field`` (K,) for the lens errors and ``print_`` (K,) for the misplacement of markers."""
     usually, exactly = [], []
     of_lens = _STATED if stated else _PRIOR[0]
     for power, (usual, spread) in ((field, of_lens), (print_, _PRIOR[1])):
@@ -204,8 +205,9 @@ def lens_shifts(view: View, points: Array, height: float) -> tuple[Array, Array]
     """Return the directions (..., 2) of points (..., 2) of the plane at ``height``, and the changes
     (..., 2, 8) of these directions due to errors of eight lens parameters.
 
-    For each change, one parameter differs from its calibrated value by one standard deviation: the
-    one that the calibration states or, if it states none, a typical one.
+    For each change, one parameter differs from its calibrated value by one standard deviation. This
+    is the standard deviation stated by the calibration or, if none is stated, a typical standard
+    deviation.
     """
     camera = view.camera
     rays = camera.rays(view.project(points, height))
@@ -217,7 +219,7 @@ def lens_shifts(view: View, points: Array, height: float) -> tuple[Array, Array]
 
 
 def _other_lenses(camera: CameraModel) -> list[CameraModel]:
-    """Return eight cameras. In each of them, another lens parameter is changed by its standard
+    """Return eight cameras. In each camera, a different lens parameter is changed by its standard
     deviation (stated by the calibration, otherwise typical)."""
     focal, aspect, rest = _FOCAL, _ASPECT, list(_LENS)
     if camera.deviations:

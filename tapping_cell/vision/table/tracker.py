@@ -4,8 +4,8 @@ While nothing moves, each marker's corners are averaged over the frames and the 
 the averages. Every frame is compared with the averages, marker by marker. If at least half of the
 markers deviate from their averages in several successive frames, the camera or the table was moved.
 The averages are then restarted and the move is reported. The residuals that remain after averaging
-are due to lens and printing rather than noise. They determine the systematic error of a pose
-measured on this table.
+are due to lens and printing rather than noise. These residuals determine the systematic error of a
+pose measured on this table.
 """
 
 from __future__ import annotations
@@ -166,7 +166,7 @@ class TableTracker:
     ) -> None:
         self._disturbed_frames[rows] = np.where(disturbed, self._disturbed_frames[rows] + 1, 0)
         # A marker that remains away from its average for more than ``confirm_frames`` frames was
-        # moved. It is ignored until it is back at its place.
+        # moved. Such a marker is ignored until it is back at its place.
         self._moved_markers[rows] = disturbed & (
             self._disturbed_frames[rows] > self.settings.confirm_frames
         )
@@ -184,9 +184,9 @@ class TableTracker:
         side = float(np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2).mean())
         limit = max(s.bloom, s.bloom_share * side)
         two = len(self.used) <= 2
-        # With only two markers, the motion of one of them is difficult to distinguish from a motion
-        # of the camera. It changes their apparent size or the error of the fit, but a motion of the
-        # camera changes neither.
+        # With only two markers, the motion of one marker is difficult to distinguish from a motion
+        # of the camera. The motion of one marker changes the apparent size of the markers or the
+        # error of the fit; a motion of the camera changes neither.
         self.apart = False
         if two and self._before is not None:
             bloom, error = self._before
@@ -242,7 +242,7 @@ class TableTracker:
         seen, shifts = lens_shifts(view, points[fit.used], 0.0)
         count = int(fit.used.sum())
         # For each corner, compute the derivative of the position on the table with respect to the
-        # direction of the ray. It differs between corners if the view is oblique.
+        # direction of the ray. This derivative differs between corners if the view is oblique.
         ahead = seen.reshape(-1, 1, 2) + 1e-6 * np.eye(2)
         lengths = (view.rays_on_plane(ahead) - points[fit.used].reshape(-1, 1, 2)) / 1e-6
         block = block_diag(*lengths.transpose(0, 2, 1))
@@ -300,7 +300,7 @@ class TableTracker:
 CROSS = 0.02 * np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
 """Points (4, 2) in m around an object's centre that represent its marker: if the image is shifted,
 rotated or sheared, a pose fitted to these points changes as much as a pose fitted to all sides of a
-square. Under shear, both rotate by the mean rotation of the square's sides."""
+square. Under shear, both poses rotate by the mean rotation of the square's sides."""
 
 
 def pose_changes(points: Array, shifts: Array) -> Array:
@@ -314,8 +314,8 @@ def pose_changes(points: Array, shifts: Array) -> Array:
 def pose_jacobian(view: View, object_pose: ArrayLike, height: float) -> Array:
     """Jacobian (3, 6) of a measured pose (x, y, theta) with respect to the camera's pose.
 
-    The pose is measured at ``height``. It is computed by finite differences with steps of 1e-6 in
-    rotation (rad) and translation (m).
+    The pose is measured at ``height``. The Jacobian is computed by finite differences with steps of
+    1e-6 in rotation (rad) and translation (m).
     """
     points = transform_points(object_pose, CROSS)
     seen = view.pose.apply(at_height(points, height))
