@@ -32,7 +32,7 @@ class Reading:
 
 @dataclass(frozen=True, slots=True)
 class MotionEnd:
-    """End of a motion, which was completed or abandoned between two moves."""
+    """End of a motion. The motion was either completed or abandoned between two moves."""
 
     complete: bool
     reading: Reading
@@ -94,7 +94,7 @@ def withdraw(
     context: JobContext, plan: Callable[[Joints], Sequence[Waypoint]], not_before: float
 ) -> MotionEnd:
     """Leave the strike pose along the path that ``plan`` returns for the present joints.
-    ``not_before``: earliest start on the steady clock, s."""
+    ``not_before``: earliest start, in s of the steady clock."""
     driver: ArmDriver = context.driver
     here = driver.read_joints()
     path = plan(here)
@@ -109,8 +109,8 @@ def follow(
     scale: float,
     not_before: float,
 ) -> MotionEnd:
-    """Follow a trajectory of joints with times in s from its start; the arm stops at every point.
-    ``scale``: factor on the speed."""
+    """Follow a trajectory of joint values with times in s from the start of the trajectory; the arm
+    stops at every point. ``scale``: factor on the speed."""
     driver: ArmDriver = context.driver
     _wait(context, not_before)
     here, before, complete = driver.read_joints(), 0.0, True

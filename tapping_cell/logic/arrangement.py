@@ -117,7 +117,7 @@ class ArrangementTask(Task):
     """Areas on the table that belong to no object of the cell."""
     arrangement: ArrangementSession | None = None
     touched: list[str] = field(default_factory=list)
-    """Objects that a tap of another object has moved and that have not been reported yet."""
+    """Objects that were moved by a tap of another object. This motion has not been reported yet."""
     _seen: dict[str, Observation] = field(default_factory=dict)
     _states: dict[str, ObjectState] = field(default_factory=dict)
     _tap: TapOf | None = None
@@ -302,7 +302,7 @@ class ArrangementTask(Task):
         )
 
     def lose(self, shot: Shot) -> None:
-        """Record the tap if it was or may have been fired."""
+        """Record the tap if it was fired or may have been fired."""
         if shot.outcome in (TapperState.FIRED, TapperState.UNKNOWN):
             self.records.append(shot.record(None, self.session.gains))
 

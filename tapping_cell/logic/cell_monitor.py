@@ -17,9 +17,10 @@ CodedError = tuple[int, str]
 
 QUICKEST_IMAGE_S = 0.05
 """Margin for the error of an image's estimated capture time, s. The estimate is too late by the
-smallest delay of the camera's messages, which cannot be distinguished from a difference of the
-clocks. The capture time is compared with events of arm and tapper, whose messages are delayed too,
-so only the difference of the smallest delays matters."""
+smallest delay of the camera's messages, because this delay cannot be distinguished from a
+difference between the clocks. The capture time is compared with events of arm and tapper. The
+messages of arm and tapper are delayed too, so the error is only the difference between the smallest
+delays."""
 FAULTED = (TapperState.FAULT, TapperState.STOPPED)
 DOING = {
     ArmState.HOMING: "homing",
@@ -61,8 +62,8 @@ class CellMonitor:
         self._watched = name
 
     def expect(self, has_arm: bool) -> None:
-        """Set whether the cell has an arm. Without this call, the monitor derives it from the
-        received messages."""
+        """Set whether the cell has an arm. Without this call, the monitor derives from the received
+        messages whether there is an arm."""
         self._arm_expected = has_arm
 
     @property
@@ -74,7 +75,8 @@ class CellMonitor:
 
     @property
     def tip(self) -> tuple[float, float, float, float] | None:
-        """Last reported tip of the arm: x, y, height and yaw in ``table``; None if not homed."""
+        """Last reported pose of the arm's tip: x, y, height and yaw in ``table``; None if the arm
+        is not homed."""
         if self.arm is None or not self.arm.homed:
             return None
         place = from_message(self.arm.tip_pose)
@@ -296,8 +298,9 @@ class CellMonitor:
     ) -> CodedError:
         """Return why there is no usable observation.
 
-        ``waited``: how long the goal waited for one before it was given up, s; None if it is not
-        given up. ``moved_aside``: the arm has already moved aside to uncover the object.
+        ``waited``: time, s, for which the goal waited for a usable observation before the goal was
+        given up; None if the goal is not given up. ``moved_aside``: whether the arm has already
+        moved aside to uncover the object.
         """
         within = "" if waited is None else f" within {waited:.0f} s"
         seen, name = self.object, f"'{self._watched}'" if self._watched else "the object"

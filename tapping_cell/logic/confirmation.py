@@ -14,8 +14,8 @@ from tapping_cell.logic.task import Shot
 from tapping_cell.se2 import Pose
 
 HOLDS_S = 20.0
-"""Time for which a confirmation remains valid, s. The limit prevents a tap long after the
-confirmation, which could surprise the operator."""
+"""Time for which a confirmation remains valid, s. A tap long after the confirmation could surprise
+the operator."""
 OBJECT_M, OBJECT_RAD = 0.0005, math.radians(0.5)
 """Maximum displacement of the object since the confirmed plan."""
 STRIKE_M, STRIKE_RAD = 0.001, math.radians(1.0)

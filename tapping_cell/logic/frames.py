@@ -27,7 +27,8 @@ class Frames(Protocol):
 
 
 class TableOnly:
-    """Replacement that knows only ``table``; used if tf2_ros is not installed."""
+    """Implementation of ``Frames`` without any frame besides ``table``; used if tf2_ros is not
+    installed."""
 
     def in_table(self, frame: str, stamp: Time) -> Pose:
         """Raise FrameError."""

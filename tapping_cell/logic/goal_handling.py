@@ -208,7 +208,8 @@ class GoalHandling:
     ) -> tuple[int, str] | None:
         """Update the free space of a task to the present poses of the other objects.
 
-        Return an error if another object was not observed since the steady time ``since``, or if
+        Return an error if one of the other objects was not observed since the steady time
+        ``since``, or if
         the camera has not searched for objects without an object file since ``search_since``.
         """
         if not self.other_objects.searched(search_since):

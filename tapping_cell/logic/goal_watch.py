@@ -36,7 +36,7 @@ class Ended:
 
 
 class GoalWatch:
-    """Follows one goal from its acceptance. Times are steady, in s."""
+    """Follows one goal from its acceptance. Times are in s of the steady clock."""
 
     def __init__(self, goal: Pose, planners: frozenset[bytes], now: float) -> None:
         """``goal``: pose in ``table``. ``planners``: publishers of ``plan_state`` when the goal was

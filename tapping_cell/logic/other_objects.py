@@ -18,7 +18,7 @@ from tapping_cell.planning import CircleArea, KeepOut, PolygonArea
 from tapping_cell.se2 import Pose, transform_points
 
 UNKNOWN = "unknown object"
-"""Beginning of the names of the objects without an object file."""
+"""Prefix of the names of the objects without an object file."""
 
 
 @dataclass(slots=True)
@@ -100,7 +100,7 @@ class OtherObjects:
         return (*(self._area(file, now) for file in self._files), *self._unknown)
 
     def moved_since(self, areas: Sequence[KeepOut | None], now: Now) -> bool:
-        """Return whether an object has moved or appeared since ``areas`` (see :meth:`areas`)."""
+        """Return whether an object has moved or appeared since :meth:`areas` returned ``areas``."""
         return any(area is not None and area not in areas for area in self.areas(now))
 
     def unobserved(self, since: float) -> str:

@@ -80,8 +80,8 @@ WITHDRAWN_BY_ANOTHER = (
 )
 """Error to report if a tap was not fired although the tapper reports no error."""
 HIDDEN_S = 0.7
-"""If the object is not seen for this time after the withdrawal, s, the arm moves aside, because it
-may hide the object."""
+"""Maximum time, s, for which the object may be unseen after the withdrawal. After this time, the
+arm moves aside, because the arm may hide the object."""
 PARKING_S = 0.5
 """Time within which an arm that was commanded to move aside reports that it moves."""
 REPORT_PERIOD_S = 0.5
@@ -607,8 +607,8 @@ class PlannerLogic:
         self._enter(Event.OBSERVED, S.PLANNING, now, self._deadline - now.steady)
 
     def _moved_by_tap(self, now: Now) -> bool:
-        """Return whether the object has moved since a fixed tapper struck it and is at rest again.
-        If so, images show the result of the tap even before the striker has returned."""
+        """Return whether a fixed tapper has moved the object and the object is at rest again. If
+        so, images show the result of the tap even before the striker has returned."""
         return self._monitor.at_rest_after(self._struck_at, now)
 
     def _wait_for_computation(self, task: Task, now: Now) -> None:
@@ -772,7 +772,7 @@ class PlannerLogic:
             )
 
     def _on_confirmation(self, asked: ConfirmTap.Request, now: Now) -> ConfirmTap.Response:
-        """Handle a person's answer, which is only valid for the tap that is proposed now."""
+        """Handle a person's answer. The answer is valid only for the tap that is proposed now."""
         if self._task is not None:
             self._advance(now)  # first handle received messages and expired deadlines
         shot, task = self._proposed, self._task
@@ -916,7 +916,8 @@ class PlannerLogic:
         )
 
     def _check_cell(self, code: int, sentence: str, now: Now) -> None:
-        """End a wait for arm or tapper after a fault, a lost driver or a passed deadline."""
+        """End a wait for arm or tapper if there is a fault, if the connection to a driver is lost,
+        or if the deadline has passed."""
         fault = self._monitor.fault()
         if fault is not None:
             self._fail(*fault, now)
@@ -978,7 +979,7 @@ class PlannerLogic:
         self._effects.append(Publish("tap_command", command))
 
     def _hidden_by_arm(self, now: Now) -> bool:
-        """Return whether the arm probably hides the object, because it was not seen for
+        """Return whether the arm probably hides the object, because the object was not seen for
         ``HIDDEN_S``."""
         if not self._has_arm or self._view_cleared:
             return False

@@ -77,8 +77,8 @@ class StopLatch:
         return changed and self.stopped
 
     def press(self, source: str = SERVICE) -> bool:
-        """Latch a stop from a source without a level, such as a service call; return whether it is
-        new."""
+        """Latch a stop from a source without a level, such as a service call; return whether this
+        stop is new."""
         self._begin_stop()
         return self._add(source)
 

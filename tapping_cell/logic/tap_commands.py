@@ -17,9 +17,9 @@ CLOCK_TOLERANCE_S = 1.0
 """Maximum time by which a stamp may lie in the future, because the computers' clocks differ
 slightly."""
 LARGEST_JUMP = 2**28
-"""Maximum difference between a tap id and the greater of two numbers: the last id, and the clock's
-time in whole seconds. The limit corresponds to 8 years. Without it, one wrong id could leave no
-greater ids for the following taps."""
+"""Maximum amount by which a tap id may exceed the greater of two numbers: the last id, and the
+clock's time in whole seconds. The limit corresponds to 8 years. Without this limit, one wrong id
+could leave no greater ids for the following taps."""
 
 CodedError = tuple[int, str]
 """Error code and message."""

@@ -161,7 +161,7 @@ class TapperOptions:
     """
 
     state_rate: float = 20.0
-    """Hz."""
+    """Rate at which ``tapper_state`` is published, Hz."""
     limits: PeerLimits = field(default_factory=PeerLimits)
     set_up: bool = False
     """Set-up mode: charges and fires only while an enabling device is held."""
@@ -190,7 +190,7 @@ class Tap:
 
 @dataclass(frozen=True, slots=True)
 class Permit:
-    """The arm's promise to stand still for a tap until ``until``, s on this computer's steady
+    """The arm's promise to stand still for a tap until ``until``, in s of this computer's steady
     clock."""
 
     tap_id: int
@@ -255,7 +255,7 @@ class TapperLogic(DeviceLogic[State, Event]):
         """Make the last check before FIRE: return why firing is forbidden, or None if it is
         allowed.
 
-        ``release_by``: latest end of the release pulse, s on the steady clock.
+        ``release_by``: latest end of the release pulse, in s of the steady clock.
         """
         reason = self.check_charging(now)
         if reason is not None:
@@ -317,7 +317,7 @@ class TapperLogic(DeviceLogic[State, Event]):
                 self._give_up((ErrorCode.NONE, ""))
             return
         if command.request == TapCommand.CLEAR_VIEW:
-            return  # for the arm only
+            return  # this command is only for the arm
         refusal = self._refusal(command, now)
         if refusal is not None:
             self._refuse(command, refusal, now)
@@ -425,7 +425,8 @@ class TapperLogic(DeviceLogic[State, Event]):
         )
 
     def _give_up(self, why: CodedError) -> None:
-        """End the tap under way without a release, unless the striker was already released."""
+        """End the tap under way. Do not release the striker; if it was already released, only end
+        the wait."""
         if self._given_up is None:
             self._given_up = why
         if self.state is S.WAITING:
@@ -877,7 +878,7 @@ class TapperLogic(DeviceLogic[State, Event]):
 
 
 def _why_not_charged(reply: Reply) -> CodedError:
-    """Return why a board that was charged reports another state."""
+    """Return why a board that was charged now reports a state other than charged."""
     if not reply.interlock_closed:
         return (
             ErrorCode.TAPPER_INTERLOCK_OPEN,

@@ -118,7 +118,7 @@ def fire(
 ) -> FireEnd:
     """Fire a charged shot if ``check`` allows it, or discharge it.
 
-    ``check`` receives the latest possible end of the release pulse, s on the steady clock.
+    ``check`` receives the latest possible end of the release pulse, in s of the steady clock.
     ``post_replies``: whether the board's last reply is sent to the state machine before each check.
     """
     driver: TapperDevice = context.driver

@@ -36,8 +36,8 @@ heartbeat."""
 ABOVE_M, ABOVE_RAD = 0.005, 0.05
 """Maximum horizontal distance and angle from the tip to its strike pose when charging begins."""
 IDLE_LIMIT_S = 1.5
-"""Message timeout of a planner that did not command the tap, s. Such a planner publishes only twice
-a second."""
+"""Message timeout, s, of a planner that did not command the tap. Such a planner publishes only
+twice a second."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +65,8 @@ class Mounts:
     """State of the strikers as reported by the boards.
 
     ``proven``: whether all strikers have been detected at their mounts since the boards' start. A
-    striker that was released must also have been detected leaving its mount and returning.
+    striker that was released since then must also have been detected leaving its mount and
+    returning.
     ``away``: names of the strikers that are not at their mounts. ``fitted``: whether the mounts
     have switches.
     """
@@ -111,8 +112,8 @@ class TapperPeers:
         self._arm: ArmState | None = None
         self._arm_received = -math.inf
         self._arm_keys: set[int] = set()
-        """Keys of the arms that have reported that they serve a tap since the tap began, and of the
-        arm that published last before the tap: an arm that appears with the tap is another one."""
+        """Keys of the arm that published last before the tap began, and of every arm that has
+        reported a tap id since then. More than one key means that several arms publish."""
         self._clocks = {"arm": PeerClock(), "planner": PeerClock(), "camera": PeerClock()}
         self._plan_received: float | None = None
         self._phase = PlanState.IDLE
@@ -250,9 +251,10 @@ class TapperPeers:
         return None
 
     def other_arm(self, key: int) -> CodedError | None:
-        """Return an error if another arm than that of ``arm_state`` has answered ``hold_still``.
+        """Return an error if ``arm_state`` and the answer to ``hold_still`` come from more than one
+        arm.
 
-        ``key``: the arm's key in the answer.
+        ``key``: key of the arm that answered ``hold_still``.
         """
         if self._arm_keys == {key}:
             return None

@@ -213,9 +213,9 @@ class Task:
     def decide(self, seen: ObjectState, frames: int) -> Decision:
         """Decide on the next action from an observation of the object at rest.
 
-        ``frames``: number of frames of a normal observation. The decision may be to observe again,
-        until ``LONG_OBSERVATION`` times as many frames are fused. ``frames`` is 0 if there is no
-        time for this.
+        ``frames``: number of frames of a normal observation; 0 if there is no time for a longer
+        one. The decision may be to continue the observation until ``LONG_OBSERVATION * frames``
+        frames are fused.
         """
         assert isinstance(self.session, GoalSession)
         self.session.arm = self.arm
@@ -343,6 +343,6 @@ class SingleTapTask(Task):
         return SingleTap.Result(error_code=code, error_msg=sentence, record=record)
 
     def lose(self, shot: Shot) -> None:
-        """Record the tap if it was or may have been fired."""
+        """Record the tap if it was fired or may have been fired."""
         if shot.outcome in (TapperState.FIRED, TapperState.UNKNOWN):
             self.records.append(shot.record(None, self.session.gains))
