@@ -425,8 +425,8 @@ class TapperLogic(DeviceLogic[State, Event]):
         )
 
     def _give_up(self, why: CodedError) -> None:
-        """End the tap under way. Do not release the striker; if it was already released, only end
-        the wait."""
+        """End the tap under way. The striker is not released, unless its release has already
+        begun."""
         if self._given_up is None:
             self._given_up = why
         if self.state is S.WAITING:

@@ -1,4 +1,4 @@
-"""Small records that a node stores on disk to survive a crash: the current goal, a stop."""
+"""Small records that a node stores on disk, so that they survive a crash: the goal, a stop."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class KeptContent:
         part.replace(self._path)
 
     def require_writable(self) -> None:
-        """Raise OSError if content could not be kept."""
+        """Raise OSError if content could not be stored."""
         self._path.parent.mkdir(parents=True, exist_ok=True)
         part = self._path.with_suffix(".part")
         part.write_text("{}", encoding="utf-8")

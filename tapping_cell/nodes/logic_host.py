@@ -329,8 +329,9 @@ class LogicHost(Generic[Machine]):
 
 
 class LogicNode(CellNode[Parameters], Generic[Parameters]):
-    """Node that hosts a state machine, which makes all decisions. A subclass creates ``host`` in
-    its constructor, and passes ``Configured`` to it when it is configured."""
+    """Node that hosts a state machine; the state machine makes all decisions. A subclass creates
+    ``host`` in its constructor, and passes ``Configured`` to ``host`` when the node is
+    configured."""
 
     carries_pictures = False
     host: LogicHost[Any]
@@ -344,7 +345,8 @@ class LogicNode(CellNode[Parameters], Generic[Parameters]):
         self.host.lifecycle(Deactivated())
 
     def cleanup(self) -> None:
-        """Deactivate the state machine, because an orderly shutdown also ends its action."""
+        """Deactivate the state machine, because an orderly shutdown also ends the machine's current
+        action."""
         self.host.lifecycle(ShutDown())
         self.host.close()
 

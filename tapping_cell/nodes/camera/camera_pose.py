@@ -87,7 +87,7 @@ STAMP_AHEAD_S = 1.0
 """Maximum time by which an image stamp may be ahead of this node's clock."""
 MAX_LATE = 15
 """Number of consecutive images, each older than the last accepted image, after which tracking
-restarts. They span about half a second, which is too long for reordered messages."""
+restarts. They span about half a second; messages are not reordered over so long a time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,8 +184,8 @@ class CameraPose(CellNode[Parameters]):
         self._pictures = self.create_subscription(
             self._picture_type,
             self._picture_topic,
-            # The callback also receives the message info of the middleware, which rclpy supports at
-            # run time but not in its type annotations.
+            # The callback has a second argument, the message info of the middleware. rclpy supports
+            # this argument at run time, but not in its type annotations.
             cast(Callable[[Image], None], self._on_image),
             images.COMPRESSED_PICTURES if compressed else images.PICTURES,
         )
@@ -344,7 +344,8 @@ class CameraPose(CellNode[Parameters]):
             )
 
     def _count_late(self, observation: Observation) -> None:
-        """Restart tracking when the camera's clock was set back, which makes every image late."""
+        """Restart tracking after the camera's clock was set back, because then every image counts
+        as late."""
         self._late = self._late + 1 if observation.problem is Problem.LATE_FRAME else 0
         if self._late >= MAX_LATE and self._camera is not None and self._cell is not None:
             self.get_logger().warning(
@@ -384,7 +385,7 @@ class CameraPose(CellNode[Parameters]):
                 self.get_logger().warning(self._notice)
 
     def _publish_camera(self, picture: Image) -> None:
-        """Publish the camera pose in ``table``, which is needed to project pixels onto the
+        """Publish the camera pose in ``table``, so that subscribers can project pixels onto the
         table."""
         assert self._tracker is not None
         now, view = time.monotonic(), self._tracker.view

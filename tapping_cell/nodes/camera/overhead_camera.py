@@ -1,4 +1,4 @@
-"""Camera node: publishes images from a device, video file or folder, with their calibration."""
+"""Camera node: publishes the images of a device, video file or folder, and their calibration."""
 
 from __future__ import annotations
 

@@ -61,8 +61,8 @@ class ArmPoseClient(GoalClient):
         self.node.create_subscription(JointState, topic, self._on_joints, 10)
 
     def missing(self) -> list[str]:
-        """Return the conditions that still prevent motion of the arm, as text; empty when it is
-        ready."""
+        """Return the conditions that still prevent motion of the arm, as text; empty when the arm
+        is ready."""
         if self.arm_state is None or self._trajectories.get_subscription_count() == 0:
             return ["the arm's driver is not running"]
         if self.arm_state.state != ArmState.IDLE:
@@ -76,7 +76,7 @@ class ArmPoseClient(GoalClient):
         return []
 
     def joints(self) -> Joints | None:
-        """Return the last measured joint positions, or None before the first."""
+        """Return the last measured joint positions, or None before the first measurement."""
         if self._joints is None:
             return None
         known = dict(zip(self._joints.name, self._joints.position, strict=True))

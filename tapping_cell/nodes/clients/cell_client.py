@@ -104,8 +104,8 @@ class CellClient(ClientNode):
     # Commands
 
     def stop(self) -> None:
-        """Stop arm and tapper, which ends the planner's goal. Return when both have confirmed the
-        stop.
+        """Stop arm and tapper; this also ends the planner's goal. Return when both devices have
+        confirmed the stop.
 
         Raises:
             NotDone: a device did not confirm the stop. The message names the device.

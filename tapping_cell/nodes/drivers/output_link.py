@@ -135,7 +135,8 @@ class RosOutputLink(RosLink):
 
     @property
     def last_on(self) -> float:
-        """Time of the last read-back that reported the output as on, in s."""
+        """Time, in s of the monotonic clock, of the last read-back that reported the output as
+        on."""
         with self._received:
             return self._last_on
 

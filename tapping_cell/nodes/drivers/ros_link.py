@@ -111,7 +111,7 @@ class RosLink(ABC):
         """Return the error message for an absent peer."""
 
     def _found(self) -> None:  # noqa: B027 - most links have nothing to do
-        """Called when the peer has been found: discard the data received before."""
+        """Discard the data received so far. Called when the peer has been found."""
 
     def _before_destruction(self) -> None:  # noqa: B027
         """Destroy resources that the node does not destroy itself."""

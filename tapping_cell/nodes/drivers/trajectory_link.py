@@ -147,7 +147,8 @@ class RosTrajectoryLink(RosLink):
         if speeds is not None and not all(map(math.isfinite, speeds)):
             speeds = None
         stamp = Time.from_msg(message.header.stamp).nanoseconds
-        # A state without a stamp counts as measured on arrival. (joint_state_broadcaster sets one.)
+        # A state without a stamp counts as measured on arrival. The states of
+        # joint_state_broadcaster have stamps.
         age = 1e-9 * (self._node.get_clock().now().nanoseconds - stamp) if stamp else 0.0
         sample = JointSample(
             received - max(age, 0.0),
@@ -185,7 +186,8 @@ class RosTrajectoryLink(RosLink):
         message = self._message(points)
         with self._lock:
             # A stop that arrives now waits for the lock, so it also ends this trajectory: ``brake``
-            # replaces it, and a goal that is not sent or accepted yet is dropped or cancelled.
+            # replaces the trajectory, a goal that is not sent yet is dropped, and a goal that is
+            # not accepted yet is cancelled.
             self._require()
             self._goal += 1
             self._course = Course(self.samples[-1].positions, points)

@@ -1,4 +1,4 @@
-"""Calls of other nodes at the request of a page, which receives the outcome."""
+"""Calls of other nodes at the request of a page; the page receives the outcome."""
 
 from __future__ import annotations
 

@@ -26,8 +26,8 @@ CORE = (VISION, "tap_planner", ARM, "tapper_trigger")
 CAMERAS = ("sim_world", "overhead_camera")
 """Roles of the cell's own nodes that publish images. Another camera driver may replace them."""
 SILENCE_LIMIT_S = 3.5
-"""Maximum age of the last diagnostics, which are sent every second, before a node counts as
-silent."""
+"""Age of the last diagnostics above which a node counts as silent. Nodes send diagnostics every
+second."""
 TIMEOUT_S = 3.0
 LEVELS = {
     DiagnosticStatus.OK: "ok",
@@ -65,7 +65,7 @@ class NodeWatch:
         self._prefix = node.get_namespace().rstrip("/") + "/"
         self._peers: dict[str, _Peer] = {}
         self.has_arm = True
-        """Whether the cell has an arm, whose node is then required."""
+        """Whether the cell has an arm. If so, the arm's node is required."""
         self._subscription = node.create_subscription(
             DiagnosticArray, "/diagnostics", self._on_diagnostics, 10
         )

@@ -74,7 +74,8 @@ class Place:
 
 @dataclass(frozen=True, slots=True)
 class RequestedGoal:
-    """Goal in ``table``, with its tolerance in m and rad, where 0 selects the cell's default."""
+    """Goal in ``table``, with its tolerance in m and rad. A tolerance of 0 selects the cell's
+    default."""
 
     pose: Pose
     tolerance: tuple[float, float] = (0.0, 0.0)
@@ -90,8 +91,8 @@ class QueueGoal(RequestedGoal):
 
 @dataclass(frozen=True, slots=True)
 class Arrange:
-    """Move several objects to their poses, within a tolerance in m and rad, where 0 selects the
-    cell's default; ``in_order``: finish them in this order."""
+    """Move several objects to their poses, within a tolerance in m and rad. A tolerance of 0
+    selects the cell's default. ``in_order``: whether to finish the objects in this order."""
 
     goals: tuple[tuple[str, Pose], ...]
     tolerance: tuple[float, float] = (0.0, 0.0)
@@ -158,8 +159,8 @@ class Command:
 
 
 Frequent = Hello | Seen | Move | Turn | Place
-"""Messages that a page sends automatically or during a drag. They do not count as commands, whose
-rate is limited. During a drag, only the newest message is processed."""
+"""Messages that a page sends automatically or during a drag. The limit on the rate of commands does
+not apply to these messages. During a drag, only the newest message is processed."""
 Request = (
     Frequent
     | SendGoal

@@ -1,6 +1,6 @@
 """Access of the page to the recorder's run folders: list, find by name, and pack for download.
 
-A requested name only selects a folder directly in the recorder's folder. Links are not followed,
+A requested name can select only a folder directly in the recorder's folder. Links are not followed,
 and a folder with neither ``summary.json`` nor ``arrangement.json`` is not served.
 """
 

@@ -12,7 +12,8 @@ from rclpy.node import Node
 
 class DeferredActionServer:
     """Action servers of one node. They accept every goal, because only an accepted goal has a
-    result, which tells the client the error code if the planner refuses the goal."""
+    result. If the planner then refuses the goal, the result contains the error code for the
+    client."""
 
     def __init__(
         self,

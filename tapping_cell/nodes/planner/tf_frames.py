@@ -19,7 +19,7 @@ except ImportError:
     tf2_ros = None
 
 KEPT_S = 60.0
-"""Time for which transforms are kept, which is the maximum age of a goal's stamp."""
+"""Time for which transforms are kept. It is also the maximum age of a goal's stamp."""
 NEWEST_S = 0.5
 """If a goal's stamp is newer than the newest transform by at most this time (s), the newest
 transform is used."""

@@ -71,7 +71,8 @@ from tapping_cell.report.run_reader import NOTES, PICTURES
 LEAD_S = 2.0
 """Time by which the start of a bag precedes its goal."""
 TAIL_S = 1.0
-"""Time from the end of a goal to the end of its bag, which thus contains the final observation."""
+"""Time from the end of a goal to the end of its bag. The bag thus contains the final
+observation."""
 SILENCE_S = 30.0
 """Time without a message of the planner after which the recording ends, even if the goal has not
 ended."""
@@ -88,7 +89,8 @@ With a minimum of a full period, such images would not be recorded."""
 LONGEST_PATH = 1024
 DEPTH = 200
 """Queue depth of a topic: the oldest messages are lost if more than this number arrive between two
-polls or, for the topics in FRAMES, before a goal begins. Images at 30 Hz fill it in 6.7 s."""
+polls or, for the topics in FRAMES, before a goal begins. Images at 30 Hz fill the queue in
+6.7 s."""
 
 _STREAM = QoSProfile(
     depth=DEPTH, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.VOLATILE
@@ -390,7 +392,7 @@ class RunRecorder(CellNode[Parameters]):
 
     def _is_late(self, plan: PlanState) -> bool:
         """Return whether a ``plan_state`` is older than the end of its goal, which is already
-        known. This happens because the order between topics is not guaranteed."""
+        known. This happens because the order of messages of different topics is not guaranteed."""
         end = self._end
         if end is None or not (self._arranging or same_goal(plan, end)):
             return False
