@@ -147,7 +147,8 @@ def verb_parser(verb: str) -> tuple[argparse.ArgumentParser, Execute]:
 
 
 def complete(line: str) -> None:
-    """Print the shell completions of ``line``. Only the module of its verb is imported."""
+    """Print the shell completions of ``line``. Only the module of the verb in ``line`` is
+    imported."""
     import argcomplete
 
     parser = argparse.ArgumentParser(prog="cell")

@@ -51,8 +51,8 @@ def output_of(
 def add_recording_arguments(
     parser: argparse.ArgumentParser, number: str, default: int, text: str
 ) -> None:
-    """Declare --record, --resume, --namespace and the option ``number``, with the help text
-    ``text``, for the number of measurements."""
+    """Declare --record, --resume and --namespace. Also declare the option ``number`` for the number
+    of measurements, with the help text ``text``."""
     parser.add_argument(
         "--record",
         action="store_true",

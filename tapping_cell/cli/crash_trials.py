@@ -46,8 +46,8 @@ RELEASE_AFTER_SILENCE_S = 0.65
 striker. It is the sum of the tapper's ``silence_limit`` (0.45 s), the transmission time of a
 message and the firing window."""
 STROKE_FACTOR = 1.1
-"""Maximum time of flight of the striker, relative to the time that it would need for the stroke at
-the commanded speed."""
+"""Maximum ratio of the striker's time of flight to the time that the striker would need for the
+stroke at the commanded speed."""
 TIMEOUT_S = 240.0
 PHASE_S = 120.0
 """Maximum wait for a phase of a tap."""
@@ -71,8 +71,8 @@ class Crash:
 
     @property
     def clean(self) -> bool:
-        """Whether the trial was safe and the goal was reached. After a restart of ``sim_world``,
-        which resets the boards, it is sufficient that the cell requests an operator."""
+        """Whether the trial was safe and the goal was reached. If ``sim_world`` was restarted, the
+        boards were reset. The trial then also counts as clean if the cell requests an operator."""
         asked = self.ended == "needed an operator" and self.node == WORLD
         return not self.unsafe and (self.ended == "reached" or asked)
 
@@ -130,7 +130,8 @@ class Observed:
         """Add each strike that was unsafe to the unsafe events.
 
         A strike is unsafe if the arm's last report that it was in position is too old, or if a node
-        had been frozen for too long. The stamps are compared at the end of a trial, because
+        had been stopped by ``freeze`` for too long. The stamps are compared at the end of a trial,
+        because
         messages of different topics can arrive in any order.
         """
         for at in self.struck:

@@ -624,7 +624,7 @@ def _measure_point(arguments: argparse.Namespace, point: sweep.Point) -> dict[st
     """Evaluate one point of a sweep in a separate process."""
     chosen = sweep.arguments_at(arguments, point)
     # Use one process, because the points are evaluated in parallel. The option json suppresses the
-    # progress bar of the point, because the whole sweep has one.
+    # progress bar of the point, because the sweep shows a progress bar of its own.
     chosen.processes, chosen.json = 1, True
     return measure(chosen, make_evaluation(chosen, chosen.planner))
 

@@ -19,7 +19,7 @@ from tapping_cell.simulation.virtual_line import HangError
 
 
 class RealClock:
-    """Monotonic clock with an alarm signal, which ends a call that still runs at the time
+    """Monotonic clock with an alarm signal. The signal ends a call that still runs at the time
     ``limit``."""
 
     def __init__(self) -> None:

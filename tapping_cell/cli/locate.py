@@ -163,7 +163,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 class Search:
-    """One tracker for each object. Each tracker knows the markers of the other objects."""
+    """One tracker for each object. Each tracker is given the marker ids of all objects."""
 
     def __init__(
         self,

@@ -15,8 +15,8 @@ def measured_taps(folder: Path, object_name: str) -> list[TapRow]:
     """Return the fired taps of a run whose result was measured.
 
     Raises:
-        RecordError: the run was made with another object. tapping_cell.report.run_folder.RunError:
-        the folder is damaged.
+        RecordError: the run was made with another object.
+        tapping_cell.report.run_folder.RunError: the folder is damaged.
     """
     run = read_run(folder)
     if run.object_name and run.object_name != object_name:

@@ -108,8 +108,8 @@ def wait_for_planner(client: GoalClient, patience: float, console: Console) -> N
     deadline = time.monotonic() + patience
     found = math.inf
     with console.status("waiting for the planner"):
-        # Wait until the planner has discovered this client too: before that, its response to a
-        # request would be lost.
+        # Wait until the planner has discovered this client too: before that, the planner's response
+        # to a request would be lost.
         while time.monotonic() < found + MUTUAL_DISCOVERY_S:
             there = client.planner_active and client.accepts_goals()
             found = min(found, time.monotonic()) if there else math.inf

@@ -45,7 +45,8 @@ def refuse_unused(arguments: argparse.Namespace, needs: str, *names: str) -> Non
 def require_folder(folder: Path | None, option: str) -> None:
     """Check that a folder exists or can be created, without creating it.
 
-    Raises: ConfigurationError: the path is a file, or the user may not write there.
+    Raises:
+        ConfigurationError: the path is a file, or the user may not write there.
     """
     if folder is None:
         return

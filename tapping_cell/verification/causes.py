@@ -154,8 +154,8 @@ EXPLAINED_BY: dict[int, frozenset[str]] = {
     ErrorCode.TAP_LIMIT_REACHED: CAMERA | FOREIGN,
     ErrorCode.TAP_WITHOUT_ROTATION: CAMERA | FOREIGN,
 }
-"""For each error code of a goal, the kinds of faults that can cause it. When a goal ends with the
-code, at least one of these faults must have been injected."""
+"""For each error code of a goal, the kinds of faults that can cause this code. When a goal ends
+with the code, at least one fault of these kinds must have been injected."""
 CONDITIONS = frozenset(
     {
         ErrorCode.NONE,

@@ -1,4 +1,4 @@
-"""The arm's driver, with a check after each move that it calls completed."""
+"""The arm's driver, with a check after each move that the driver reports as completed."""
 
 from __future__ import annotations
 

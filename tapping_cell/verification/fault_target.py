@@ -71,7 +71,8 @@ class FaultTarget(Protocol):
         """Shut a process down; it restarts after ``away`` s."""
 
     def start_second(self, node: str, lasting: float) -> None:
-        """Start a second instance of a node, as by mistake, and kill it after ``lasting`` s."""
+        """Start a second instance of a node, as if by mistake, and kill this instance after
+        ``lasting`` s."""
 
     def hide_object(self, duration: float) -> None:
         """Hide the object, as by a hand, for ``duration`` s."""
@@ -83,10 +84,11 @@ class FaultTarget(Protocol):
         """Hold the emergency stop of the panel for ``duration`` s."""
 
     def interrupt_tapper_power(self) -> None:
-        """Interrupt the power of the tapper's board, which also loses its latched stop."""
+        """Interrupt the power of the tapper's board, so that the board also loses its latched
+        stop."""
 
     def interrupt_arm_power(self) -> None:
-        """Interrupt the power of the arm's board, which loses its position."""
+        """Interrupt the power of the arm's board, so that the board loses the arm's position."""
 
     def turn_arm_motors_off(self) -> None:
         """Switch the arm's motors off, as by a sleep command, so that the quill sinks."""

@@ -61,7 +61,8 @@ ALL = Mix()
 
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """The n-th occurrence of an event in a goal; n is ``times``. The trial reports ``name``."""
+    """The n-th occurrence of an event in a goal; n is ``times``. The trial reports the event by its
+    ``name``."""
 
     name: str
     times: int
@@ -315,9 +316,10 @@ def _foreign_outcome(rng: np.random.Generator, trial: FaultTarget) -> Made:
 
 
 def _foreign_hold(rng: np.random.Generator, trial: FaultTarget) -> Made:
-    """Another node requests ``hold_still`` for a tap, and ends the promise to stand still early. It
-    may claim before to be the tapper. It may then also report that the tap is over and withdraw the
-    tap; the arm receives the withdrawal immediately, but the tapper receives it late."""
+    """Another node requests ``hold_still`` for a tap, and ends the promise to stand still early.
+    Before the request, the node may claim to be the tapper. After the promise, it may also report
+    that the tap is over and withdraw the tap; the arm receives this withdrawal immediately, but the
+    tapper receives it late."""
     back, duration = int(rng.integers(0, 2)), float(rng.uniform(0.01, 0.3))
     later, late = draw_duration(rng, 0.001, 0.05), float(rng.uniform(0.03, 0.6))
     sends, claims = rng.random() < 0.7, bool(rng.random() < 0.3)

@@ -90,7 +90,7 @@ class PhysicalFixedCell(PhysicalCell):
         return False
 
     def view(self, time: float) -> Pose | None:
-        """Return the true pose of the object, which nothing hides."""
+        """Return the true pose of the object; nothing hides the object."""
         return self.object_pose(time)
 
     def flight(self, speed: float) -> float:

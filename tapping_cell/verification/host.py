@@ -1,4 +1,4 @@
-"""Process in virtual time, which runs one state machine of ``logic`` as its ROS node does.
+"""Process in virtual time; runs one state machine of ``logic`` as the machine's ROS node does.
 
 A process can be frozen (messages received meanwhile are handled afterwards), killed at any event,
 and restarted with the files that it has stored.
@@ -445,7 +445,7 @@ class Process:
             self._stop_publishers.clear()
         self._when_awake(lambda: self._handle(self.logic.on_answer, token, answer))
 
-    # Coming up, and ticks
+    # Start of the node, and timer events
 
     def _configure(self, life: int) -> None:
         """Configure a node that has no device. No waiting is necessary."""

@@ -80,7 +80,8 @@ class Network:
 
     def publish(self, node: str, topic: str, message: Any, only: str = "") -> None:
         """Send a message to all subscribers of the topic. ``only``: the one node that receives the
-        message; it is lost for all other nodes, as can happen with best-effort delivery."""
+        message; the message is lost for all other nodes, as can happen with best-effort
+        delivery."""
         self.on_publish(node, topic, message)
         self.history.setdefault(topic, deque(maxlen=20)).append(message)
         if self._quality(topic).latched:

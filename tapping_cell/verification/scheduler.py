@@ -73,7 +73,8 @@ class Scheduler:
     ) -> Timer:
         """Schedule ``action`` at ``time``, or immediately if that time has passed.
 
-        ``in_main``: run the action outside all fibers, which is necessary if it kills one.
+        ``in_main``: run the action outside all fibers. This is necessary if the action kills a
+        fiber.
         ``fiber``: the fiber that continues after the action.
         """
         timer = Timer(max(time, self.now), action, in_main, fiber)

@@ -118,8 +118,8 @@ CAMERA_SIGMA = (5e-6, 5e-6, 5e-5)
 """Standard deviation of the pose in one frame: m, m, rad."""
 COVERED_S, CLEAR_VIEW_S = 4.0, 0.45
 """Maximum times for which the object may be unseen before a shot, s. The first one applies if the
-arm can cover the object, which takes up to 3.4 s on the way to a strike pose. The second one
-applies if the arm cannot cover the object."""
+arm can cover the object; on the way to a strike pose, the arm then covers the object for up to
+3.4 s. The second one applies if the arm cannot cover the object."""
 NOTICED_S = 0.7
 """Addition to ``COVERED_S`` and ``CLEAR_VIEW_S`` that allows for delayed messages and for the
 board's firing window, s."""
@@ -131,18 +131,18 @@ SHARE_OF_ONE_FRAME = 0.25
 PROGRAM_TAPS = 1.0
 """Mean number of taps that a program commands after each goal."""
 SHARE_OF_CONFLICTS = 0.1
-"""A program commands taps after each goal. For this fraction of them, a second program commands
-another tap with the same id."""
+"""Fraction of the taps of the program for which a second program commands another tap with the same
+id. The program commands taps after each goal."""
 PROGRAM_TIMEOUT_S, PROGRAM_EXPIRY_S = 12.0, 10.0
+"""Time for which the program waits for the outcome of its tap, and time until the tap expires."""
 SHARE_OF_STOPS_AT_A_CLEAR, STOP_AT_A_CLEAR_S = 0.1, 0.5
-"""Fraction of the requests to clear a node during which somebody stops it again, and the maximum
-time from the request to the stop, s."""
+"""Fraction of the requests to clear a node after which somebody stops the node again, and the
+maximum time from the request to this stop, s."""
 SHARE_OF_SHORT_EXPIRIES, SHORT_EXPIRY_S = 0.1, (0.2, 4.0)
 """Fraction of the taps of other programs that expire soon, and the range of their expiry, s."""
 SHARE_OF_FUTURE_STAMPS, FUTURE_STAMP_S = 0.05, (1.5, 3600.0)
-"""Fraction of the taps of other programs with a stamp in the future, and the range by which it lies
-ahead, s."""
-"""Time for which the program waits for the outcome of its tap, and time until the tap expires."""
+"""Fraction of the taps of other programs with a stamp in the future, and the range by which this
+stamp is ahead of the clock, s."""
 GOAL_SLACK_S = 5.0
 """Maximum time from a goal's time limit to its end, if the planner's process is alive."""
 STOP_DELIVERY_S = 0.1
@@ -151,13 +151,13 @@ BAD_LINE_S = 15.0
 """Time within which the driver must detect a fault of its serial line and open the line again,
 s."""
 HAND_STEP_S = 1 / 60
-"""A hand that moves the object slowly does so in small steps, one per this time, s."""
+"""Time between the small steps in which a hand moves the object slowly, s."""
 RECOVERY_S = 90.0
 """Maximum time for a person to recover the cell before the next goal."""
 
 
 DIALECTS = ("grbl", "grbl", "marlin")
-"""Controllers of the arm; the seed selects one. After a loss of power Marlin has no alarm."""
+"""Controllers of the arm; the seed selects one. After a loss of power, Marlin raises no alarm."""
 
 
 @cache
@@ -637,7 +637,8 @@ class Trial:
 
     def _causes(self, code: int) -> set[str]:
         """Return the kinds of injected faults that are recent enough to be the cause of a code."""
-        # A fault of a line happens at a certain byte, long after it was injected if the line rests.
+        # A fault of a line happens at a certain byte. If the line is idle, this is long after the
+        # fault was injected.
         happened = [
             (at, f"serial line of the {device}")
             for device, line in self._lines_by_device()
@@ -744,7 +745,8 @@ class Trial:
                 self.checker.planner_gone_since = math.inf
 
     def start_second(self, node: str, lasting: float) -> None:
-        """Start a second instance of a node, as by mistake, and kill it after ``lasting`` s.
+        """Start a second instance of a node, as if by mistake, and kill this instance after
+        ``lasting`` s.
 
         The second instance finds its device's port in use. Only the first instance answers service
         requests.
@@ -831,7 +833,8 @@ class Trial:
             self.call_service("scara_arm", "~/home")
 
     def interrupt_tapper_power(self) -> None:
-        """Interrupt the power of the tapper's board, which also loses its latched stop."""
+        """Interrupt the power of the tapper's board, so that the board also loses its latched
+        stop."""
         self.tapper_power_lost_at = self.scheduler.now
         self.physical.tapper_board.power_cycle(self.scheduler.now)
         self.physical.tapper_line.schedule()
@@ -850,7 +853,7 @@ class Trial:
         self.checker.lose_reference()
 
     def interrupt_arm_power(self) -> None:
-        """Interrupt the power of the arm's board, which loses its position."""
+        """Interrupt the power of the arm's board, so that the board loses the arm's position."""
         self.physical.arm_board.power_cycle(self.scheduler.now)
         self.physical.arm_line.schedule()
         self.checker.lose_reference()
@@ -919,7 +922,8 @@ class Trial:
         self.checker.violate("no way back", f"arm {arm}, tapper {tapper}")
 
     def _ask_to_clear(self, node: str) -> None:
-        """Ask a node to clear its stop or fault. Sometimes somebody stops it again meanwhile."""
+        """Ask a node to clear its stop or fault. Sometimes somebody stops the node again before it
+        has cleared."""
         self._clear_stop(node)
         self.call_service(node, "~/clear_fault")
         if self._faulty and self.rng.random() < SHARE_OF_STOPS_AT_A_CLEAR:
@@ -1037,8 +1041,8 @@ class Trial:
             and message.request == TapCommand.TAP
         ):
             if self._taken.get(message.tap_id) != message.header.stamp:
-                # A tap with this id may already be recorded as ended, namely another command with
-                # the same id that was refused. The tap of this command has not ended.
+                # Another command with the same id may have been refused, so a tap with this id may
+                # already be recorded as ended. The tap of this command has not ended.
                 self.checker.ended_taps.pop(message.tap_id, None)
             self._taken[message.tap_id] = message.header.stamp
             self.checker.on_tap_received(message)

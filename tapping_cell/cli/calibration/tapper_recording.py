@@ -31,8 +31,8 @@ LONGEST = 0.090
 """Maximum travel in m of the largest tap. The object file defines the travel of the smallest
 tap."""
 _STEP = 0.93
-"""As long as the largest tap has too little clearance on the table, its speed is multiplied by this
-factor."""
+"""Factor by which the speed of the largest tap is multiplied repeatedly until this tap has enough
+clearance on the table."""
 _USELESS = 4
 """Number of consecutive unusable taps after which the recording is aborted."""
 READY_TIMEOUT_S = 60.0
