@@ -113,7 +113,7 @@ class Observed:
                 self.unsafe.append(f"tap {message.tap_id}: {before} and {message.outcome}")
 
     def on_truth(self, message: PoseStamped) -> None:
-        """Process the true pose of the object, which arrives thirty times per second."""
+        """Process the true pose of the object. A true pose arrives thirty times per second."""
         pose = from_message(message.pose)
         if self.lain is None or not self.watching:
             self.lain = pose
@@ -131,8 +131,7 @@ class Observed:
 
         A strike is unsafe if the arm's last report that it was in position is too old, or if a node
         had been stopped by ``freeze`` for too long. The stamps are compared at the end of a trial,
-        because
-        messages of different topics can arrive in any order.
+        because messages of different topics can arrive in any order.
         """
         for at in self.struck:
             silent = at - max((stamp for stamp in self.settled if stamp <= at), default=-math.inf)
@@ -321,8 +320,8 @@ class CrashCell:
         future = self._reset.call_async(ResetWorld.Request(object_pose=to_message(START)))
         if not self.wait(future.done, 60.0):
             raise TimeoutError("sim_world does not answer reset_world")
-        # Also wait for the true pose, which may arrive later than the camera's message: the reset
-        # must not count as a strike.
+        # Also wait for the true pose, because the reset must not count as a strike. The true pose
+        # may arrive later than the camera's message.
         self.wait(
             lambda: (
                 self.client.object_state is not None

@@ -687,8 +687,8 @@ def _arrange(arguments: argparse.Namespace) -> int:
 
 
 def arrangement_kinds(arguments: argparse.Namespace) -> list[arrangements.Kind]:
-    """Return one ``Kind``, which contains a free space and a planner, for each shape of object.
-    Table and arm are those of the cell, and the friction is that of the object file."""
+    """Return one ``Kind`` for each shape of object. It contains a free space and a planner. Table
+    and arm are those of the cell, and the friction is that of the object file."""
     cell = load_cell(arguments.cell, arguments.object)
     wanted = _settings(arguments)
     kinds = []

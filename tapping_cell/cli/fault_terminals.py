@@ -1,4 +1,4 @@
-"""Fault trials over pseudo-terminals in real time, which also test the transport."""
+"""Fault trials over pseudo-terminals in real time; these trials also test the transport."""
 
 from __future__ import annotations
 

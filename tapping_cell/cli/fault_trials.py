@@ -392,7 +392,7 @@ class TrialCell:
         setattr(self.tally, outcome.value, getattr(self.tally, outcome.value) + 1)
 
     def check_reports(self) -> None:
-        """Compare every report with the tapper's actual shots, including those fired after the
+        """Compare every report with the tapper's actual shots, including shots fired after the
         report."""
         fired = {shot for shot, _, _ in self.tapper_device.fires}
         for shot, outcome in self.reported.items():

@@ -264,8 +264,8 @@ def _die_with_parent() -> None:
 
 
 def parameter_text(value: object) -> str:
-    """Format a parameter value for ROS's command line, which parses it as YAML. Strings are quoted,
-    so that a folder named ``101`` or ``no`` remains a string."""
+    """Format a parameter value for ROS's command line. ROS parses the value as YAML. Strings are
+    quoted, so that a folder named ``101`` or ``no`` remains a string."""
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, (str, Path)):

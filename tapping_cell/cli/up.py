@@ -158,7 +158,7 @@ def run(arguments: argparse.Namespace) -> int:
         # The simulated arm homes automatically, because it cannot hurt anyone.
         parameters.get("scara_arm", {})["home_on_activate"] = True
     if not arguments.hardware and not has_simulated_ports(cell):
-        # The cell file of real hardware names real ports, which the simulated devices must not use.
+        # The cell file of real hardware names real ports. The simulated devices must not use them.
         parameters = with_own_ports(parameters)
     graph = Graph(
         nodes,

@@ -310,7 +310,7 @@ class ArrangementTask(Task):
         return self.bodies if self.arrangement is None else self.arrangement.bodies
 
     def _turn_to(self, name: str) -> None:
-        """Make ``name`` the present object, which is observed and reported from now on."""
+        """Make ``name`` the present object. This object is observed and reported from now on."""
         self.object_id = name
         if name in self.wanted:
             self.goal, self.message = self.wanted[name].goal, self.wanted[name].message

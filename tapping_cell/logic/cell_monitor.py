@@ -117,7 +117,7 @@ class CellMonitor:
         return now.steady - self._received[name] > self._silence_limit
 
     def observed_at(self, now: Now) -> float:
-        """Return the time of the last image on this computer's steady clock, s."""
+        """Return the time of the last image, in s of this computer's steady clock."""
         if self.object is None:
             return -math.inf
         return self.camera_clock.to_steady(self.object.header.stamp, now)
@@ -206,8 +206,8 @@ class CellMonitor:
         return None
 
     def _connecting(self, name: str, state: ArmState | TapperState, now: Now) -> bool:
-        """Return whether a silent driver's last message is an error of its connection that is still
-        valid: a driver publishes nothing while it tries to connect."""
+        """Return whether the last message of a silent driver reports a connection error that is
+        still valid: a driver publishes nothing while it tries to connect."""
         disconnected = state.state == (
             ArmState.DISCONNECTED if name == "arm" else TapperState.DISCONNECTED
         )

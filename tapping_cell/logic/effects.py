@@ -22,7 +22,7 @@ class JobContext(Protocol):
 
     @property
     def driver(self) -> Any:
-        """Driver of the host's device; it uses the same clock as ``Now.steady``."""
+        """Driver of the host's device; the driver uses the clock of ``Now.steady``."""
 
     def now(self) -> Now:
         """Return the present time."""

@@ -209,8 +209,8 @@ class GoalHandling:
         """Update the free space of a task to the present poses of the other objects.
 
         Return an error if one of the other objects was not observed since the steady time
-        ``since``, or if
-        the camera has not searched for objects without an object file since ``search_since``.
+        ``since``, or if the camera has not searched for objects without an object file since the
+        steady time ``search_since``.
         """
         if not self.other_objects.searched(search_since):
             return (

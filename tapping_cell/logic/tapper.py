@@ -184,8 +184,8 @@ class Tap:
     strike: Pose
     """Pose of the tip for the strike. An arm moves it there; a fixed tapper is always there."""
     flight: float
-    """Time from the release of the striker to the end of its stroke, s; the arm stands still
-    meanwhile."""
+    """Time from the release of the striker to the end of its stroke, s; the arm stands still during
+    this time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -512,7 +512,7 @@ class TapperLogic(DeviceLogic[State, Event]):
             )
             return
         # Count the hold time from the moment at which hold_still was requested. The arm counts it
-        # from the later moment at which it handles the request, so it holds still for longer.
+        # from the later moment at which it handles the request, so the arm stands still for longer.
         until = self._asked_at + permit.hold(tap.flight)
         late = response is None or now.steady > until - permit.RELEASE_S - tap.flight
         if response is not None and not response.granted:
@@ -675,7 +675,7 @@ class TapperLogic(DeviceLogic[State, Event]):
             self._discharge(_why_not_charged(result.reply))
 
     def _see_return(self, reply: Reply) -> None:
-        """Handle the end of the wait for a released striker, which has returned or is overdue."""
+        """Handle the end of the wait for a released striker: it has returned or is overdue."""
         if reply.state is BoardState.SAFE:
             self._machine.move(Event.RETURNED, S.SAFE)
         elif not reply.stop_latched:

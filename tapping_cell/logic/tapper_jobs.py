@@ -43,16 +43,16 @@ class FireEnd:
     outcome: FireOutcome
     sentence: str
     refusal: CodedError | None
-    """Reason given by the last check, if it prevented the shot."""
+    """Reason given by the last check, if this check prevented the shot."""
     refused: HardwareFault | None
-    """Fault reported by the board, if it prevented the shot."""
+    """Fault reported by the board, if this fault prevented the shot."""
     status: Status | None
     fault: HardwareFault | None
     """Fault that occurred after the outcome was known."""
 
 
 def connect(context: JobContext, patience: float) -> Status:
-    """Open the port again with a new session, which discharges the tapper."""
+    """Open the port again and start a new session; the new session discharges the tapper."""
     driver: TapperDevice = context.driver
     return _make_status(driver, driver.connect(timeout=patience))
 

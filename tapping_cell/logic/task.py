@@ -198,9 +198,8 @@ class Task:
         return not isinstance(self.session, GoalSession) or self.session.ready
 
     def computation(self, frames: int) -> Callable[[], Any] | None:
-        """Return the slow part of a decision as a function, which runs as a job once ``observed``
-        returns True.
-
+        """Return the slow part of a decision as a function. This function runs as a job once
+        ``observed`` returns True.
         ``conclude`` receives the result of the function. Return None if ``decide`` is fast enough
         without a job. ``frames``: see ``decide``.
         """

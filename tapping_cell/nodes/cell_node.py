@@ -88,7 +88,7 @@ class NotReady(RuntimeError):
 
 
 class CellNode(LifecycleNode, Generic[Parameters]):
-    """Life-cycle node with parameters from one dataclass, which has a field ``autostart``.
+    """Life-cycle node with parameters from one dataclass with a field ``autostart``.
 
     A subclass creates its publishers and subscriptions in its constructor, so that they appear in
     the graph immediately, and overrides :meth:`configure`, :meth:`activate`, :meth:`deactivate`,

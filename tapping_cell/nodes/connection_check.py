@@ -62,8 +62,8 @@ def _by_topic(endpoints: Iterator[Any]) -> dict[str, list[Endpoint]]:
 
 def _discovered(info: Any) -> Endpoint:
     """Return type and profile of another node's endpoint. Infinite durations in the profile are
-    replaced by unset durations, which mean infinite in the profiles of this node's own
-    endpoints."""
+    replaced by unset durations, because an unset duration means infinite in the profiles of this
+    node's own endpoints."""
     found = info.qos_profile
     profile = QoSProfile(
         depth=1,

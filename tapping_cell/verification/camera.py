@@ -43,7 +43,7 @@ class CameraFaults:
 
 
 class Camera:
-    """Publishes ``object_state`` through ``publish`` while its process is alive.
+    """Publishes ``object_state`` through ``publish`` while the process of the camera's node runs.
 
     ``observe`` returns the true pose of the object at a time, or None while something covers it.
     ``ros_now`` returns the ROS time (ns) of the camera's computer. ``sigma``: standard deviation of

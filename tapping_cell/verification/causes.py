@@ -3,7 +3,7 @@
 The error code must name a true cause. A fault of one device does not explain a code of the other
 device. Kinds of faults that can affect both devices are therefore recorded with the name of the
 affected device or node. If none of the faults that explain the code can still act, the cell has
-reported a wrong cause, which is a violation.
+reported a wrong cause; this counts as a violation.
 """
 
 from __future__ import annotations

@@ -56,7 +56,7 @@ class FaultTarget(Protocol):
         """Choose a random goal in the central area of the table."""
 
     def send_goal(self, goal: Pose, foreign: bool = False) -> None:
-        """Send an action goal to the planner if its process is alive."""
+        """Send an action goal to the planner if the planner's process is running."""
 
     def cancel_goal(self) -> None:
         """Cancel the action goal."""
@@ -75,7 +75,7 @@ class FaultTarget(Protocol):
         ``lasting`` s."""
 
     def hide_object(self, duration: float) -> None:
-        """Hide the object, as by a hand, for ``duration`` s."""
+        """Hide the object for ``duration`` s, as if a hand covered it."""
 
     def move_object(self, shift: Pose, duration: float = 0.0) -> None:
         """Move the object by hand, within the central area of the table; ``duration`` in s."""
@@ -91,7 +91,7 @@ class FaultTarget(Protocol):
         """Interrupt the power of the arm's board, so that the board loses the arm's position."""
 
     def turn_arm_motors_off(self) -> None:
-        """Switch the arm's motors off, as by a sleep command, so that the quill sinks."""
+        """Switch the arm's motors off, as a sleep command does, so that the quill sinks."""
 
     def turn_tapper_motor_off(self, duration: float) -> None:
         """Switch the tapper's motor off for ``duration`` s, so that its steps have no effect."""

@@ -1,7 +1,7 @@
 """Process in virtual time; runs one state machine of ``logic`` as the machine's ROS node does.
 
-A process can be frozen (messages received meanwhile are handled afterwards), killed at any event,
-and restarted with the files that it has stored.
+A process can be killed at any event, and restarted with the files that it has stored. It can also
+be frozen: messages received during the freeze are handled after the freeze.
 """
 
 from __future__ import annotations

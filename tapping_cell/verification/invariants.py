@@ -70,8 +70,8 @@ ORPHAN_S = 1.5
 heartbeat has timed out."""
 HOMED_S = 3.0
 """Maximum time for which the arm may still be reported as homed after it has lost its reference, s.
-This maximum allows for bytes that arrive late on the line. If the arm's process is frozen
-meanwhile, the time begins at the end of the freeze."""
+This maximum allows for bytes that arrive late on the line. If the arm's process is frozen during
+this time, the time begins at the end of the freeze."""
 ARM_SILENCE_S = 0.3
 """Maximum time from the last arm_state that the tapper received to a release, s. The check adds
 ``WINDOW_S``."""
@@ -339,7 +339,7 @@ class InvariantChecker:
     def _command_of(self, release: Release) -> TapCommand | None:
         """Return the command that caused a release. If several commands have its id (two planners
         were started by mistake), return the command whose strike pose and energy are closest to
-        those of the release. If several commands are for the same strike, return the one of them
+        those of the release. If several commands are for the same strike, return the command
         that expires last."""
 
         def difference(command: TapCommand) -> tuple[float, int]:

@@ -41,7 +41,7 @@ class LinkFaults:
 
 @dataclass(slots=True, eq=False)
 class _Link:
-    """Connection of a topic to one subscriber, which preserves the order of the messages."""
+    """Connection of a topic to one subscriber. It preserves the order of the messages."""
 
     subscriber: str
     deliver: Deliver

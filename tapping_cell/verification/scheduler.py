@@ -170,8 +170,8 @@ class Scheduler:
         self._raise_failure()
 
     def ended(self, failure: BaseException | None) -> None:
-        """Return control to the main thread, which waits in ``end`` for a killed fiber. The fiber
-        calls this method when it has ended."""
+        """Return control to the main thread while the main thread waits in ``end`` for a killed
+        fiber. The fiber calls this method when it has ended."""
         self._failure = failure
         self._baton.release()
 

@@ -144,7 +144,7 @@ SHARE_OF_FUTURE_STAMPS, FUTURE_STAMP_S = 0.05, (1.5, 3600.0)
 """Fraction of the taps of other programs with a stamp in the future, and the range by which this
 stamp is ahead of the clock, s."""
 GOAL_SLACK_S = 5.0
-"""Maximum time from a goal's time limit to its end, if the planner's process is alive."""
+"""Maximum time from a goal's time limit to the goal's end, if the planner's process is running."""
 STOP_DELIVERY_S = 0.1
 """Maximum time from the delivery of a stop to the tapper's process until its board has stopped."""
 BAD_LINE_S = 15.0
@@ -310,7 +310,7 @@ class Trial:
         self._checked_tap = 0
         """Id of the last tap whose TAPPER_FAULT was checked."""
         self._struck_before = False
-        """Whether the previous goal or tap had faults, which may last into the next one."""
+        """Whether the previous goal or tap had faults. These may still have an effect now."""
         self._moments: Counter[str] = Counter()
         self._states: dict[str, int] = {}
         self._last_reports: dict[tuple[str, str], str] = {}
@@ -663,8 +663,8 @@ class Trial:
     # Actions of people
 
     def send_goal(self, goal: Pose, foreign: bool = False) -> None:
-        """Send an action goal to the planner if its process is alive. ``foreign``: publish the goal
-        of a second client instead."""
+        """Send an action goal to the planner if the planner's process is running. ``foreign``:
+        publish the goal of a second client instead."""
         message = PoseStamped(pose=to_message(goal))
         message.header.frame_id = "table"
         process = self.processes["tap_planner"]
@@ -768,7 +768,7 @@ class Trial:
         self.scheduler.after(lasting, second.kill, in_main=True)
 
     def hide_object(self, duration: float) -> None:
-        """Hide the object, as by a hand, for ``duration`` s."""
+        """Hide the object for ``duration`` s, as if a hand covered it."""
         now = self.scheduler.now
         if now >= self._hidden_until:
             self.checker.hidden_since = now
@@ -825,7 +825,7 @@ class Trial:
 
     def _home_too_early(self) -> None:
         if math.isinf(self.checker.held_since):
-            # The stop has been released meanwhile, so these calls are valid.
+            # The stop has been released since then, so these calls are valid.
             for node in self.devices:
                 self._clear_stop(node)
             self.checker.motion_allowed = True
@@ -840,7 +840,7 @@ class Trial:
         self.physical.tapper_line.schedule()
 
     def turn_arm_motors_off(self) -> None:
-        """Switch the arm's motors off, as by a sleep command, so that the quill sinks.
+        """Switch the arm's motors off, as a sleep command does, so that the quill sinks.
 
         Marlin does not report motors that are off, so its board loses its power instead.
         """

@@ -123,13 +123,13 @@ class RosOutputLink(RosLink):
 
     @property
     def guard(self) -> InputLevel | None:
-        """Last message from the safety guard, which states whether it is closed."""
+        """Last message from the safety guard: whether the guard is closed."""
         with self._received:
             return self._guard
 
     @property
     def read_back(self) -> InputLevel | None:
-        """Last read-back, which states whether the output is on."""
+        """Last read-back: whether the output is on."""
         with self._received:
             return self._read_back
 

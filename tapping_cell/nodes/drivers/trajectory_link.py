@@ -174,7 +174,7 @@ class RosTrajectoryLink(RosLink):
         return "action" if by_action else "topic"
 
     def send(self, points: Sequence[TrajectoryPoint]) -> None:
-        """Send a trajectory, which replaces the current one."""
+        """Send a trajectory. It replaces the current trajectory."""
         self._require()
         if not self._present():
             self._open = False

@@ -128,7 +128,7 @@ class Arrangements:
 
     def _prepare(self) -> None:
         """Prepare the goal checks that are not ready. Until the check of an object is ready, the
-        page sends any goal of this object to the planner, which checks it too."""
+        page sends any goal of this object to the planner; the planner checks every goal."""
         for check in list(self.checks.values()):
             if not check.ready:
                 check.prepare()

@@ -1,7 +1,7 @@
 """Life-cycle state and diagnostics of every node of the cell. Active only while a page is open.
 
-A node is identified by its role, which it reports on /diagnostics: with ``__node:=`` it may have
-any name.
+A node is identified by the role that it reports on /diagnostics, because a node that was renamed
+with ``__node:=`` may have any name.
 """
 
 from __future__ import annotations

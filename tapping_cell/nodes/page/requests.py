@@ -22,7 +22,7 @@ class BadRequest(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class Hello:
-    """First message of a page, which requests access."""
+    """First message of a page; it requests access."""
 
     token: object
 
@@ -131,7 +131,7 @@ class ForgetGoal:
 
 @dataclass(frozen=True, slots=True)
 class Confirm:
-    """Make or skip the tap with this id, which waits for confirmation."""
+    """Make or skip the tap that has this id and waits for confirmation."""
 
     tap_id: int
     confirm: bool
@@ -196,7 +196,7 @@ Content = dict[str, Any]
 
 
 def parse(text: str | bytes) -> Request:
-    """Parse a message, whose values are in mm and degrees, as people type them.
+    """Parse a message. Its values are in mm and degrees, as people type them.
 
     Raises:
         BadRequest: the message is invalid, for the stated reason.

@@ -54,7 +54,7 @@ WRITE_TIMEOUT_S = 5.0
 """Timeout for a page to read its data."""
 PING_PERIOD_S = 5.0
 MAX_MESSAGES = 100
-"""Maximum number of messages of one page per second, beyond which its connection is closed."""
+"""Maximum number of messages of one page per second. If a page sends more, it is disconnected."""
 MAX_COMMANDS = 10
 """Maximum number of goals and commands of one page per second. Further requests are refused, except
 for a stop."""
@@ -246,7 +246,7 @@ class PageServer:
             self.backend.on_pages(len(self.pages))
 
     def has_key(self, key: str) -> bool:
-        """Return whether a key belongs to an open page, which may read the runs."""
+        """Return whether a key belongs to an open page. If so, its owner may read the runs."""
         return any(secrets.compare_digest(page.key, key) for page in self.pages)
 
 

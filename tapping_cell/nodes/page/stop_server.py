@@ -4,8 +4,8 @@ A request is one JSON object in plain text, ``{"do": "stop", "token": ...}`` or 
 ...}``, and the response is ``{"held": ...}``. A stop needs no existing connection. When too many
 connections are open, the oldest one is closed to accept the newest, so that no client can occupy
 all of them. Connections that have sent an admitted request belong to pages and are closed last, so
-that a page keeps its connection even during a flood of new connections. A check and every refused
-request are answered slowly, which limits the request rate of a connection.
+that a page keeps its connection even during a flood of new connections. Checks and refused requests
+are answered slowly, to limit the request rate of a connection.
 """
 
 from __future__ import annotations

@@ -137,8 +137,9 @@ def _joined(began: float, namespace: str, words: str) -> str:
 
 
 def cell_notes(cell: Cell | None, seed: int) -> dict[str, Any]:
-    """Return the configuration of a run, which is stored in its bag: versions, random seed and, if
-    ``cell`` is known, the objects, tolerance, table and contents of the configuration files."""
+    """Return the configuration of a run, to be stored in its bag. It contains the versions and the
+    random seed. If ``cell`` is known, it also contains the objects, tolerance, table and contents
+    of the configuration files."""
     notes: dict[str, Any] = {"versions": versions(), "seed": seed if seed >= 0 else None}
     if cell is not None:
         table = cell.file.table

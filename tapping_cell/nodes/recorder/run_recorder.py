@@ -391,8 +391,9 @@ class RunRecorder(CellNode[Parameters]):
         self._ends_at = time.monotonic() + TAIL_S
 
     def _is_late(self, plan: PlanState) -> bool:
-        """Return whether a ``plan_state`` is older than the end of its goal, which is already
-        known. This happens because the order of messages of different topics is not guaranteed."""
+        """Return whether a ``plan_state`` is older than the end of its goal, although this end has
+        already been received. This happens because the order of messages of different topics is
+        not guaranteed."""
         end = self._end
         if end is None or not (self._arranging or same_goal(plan, end)):
             return False
