@@ -2,9 +2,9 @@
 safely.
 
 A simulated cell runs as processes, and a goal is sent. At a chosen phase of a tap, one node
-receives ``SIGKILL`` and is restarted. A trial checks the true final pose of the object. It also
-checks that the object moved only while the arm held the striker in position, and at most once for
-each commanded tap.
+receives ``SIGKILL`` and is restarted. A trial checks the true final pose of the object. A trial
+also checks that the object moved only while the arm held the striker in position, and at most once
+for each commanded tap.
 """
 
 from __future__ import annotations

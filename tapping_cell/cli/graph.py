@@ -40,8 +40,8 @@ LAST_DOMAIN = 232
 """Highest ROS domain for which the middleware has valid port numbers."""
 
 MAX_PARTICIPANTS = 20
-"""Number of participant ports that are checked in a domain. It exceeds the number of participants
-of a cell (8)."""
+"""Number of participant ports that are checked in a domain. This number exceeds the number of
+participants of a cell (8)."""
 OWN_DOMAINS = range(1, 102)
 """Domains whose ports do not overlap the ephemeral ports of Linux. Domain 0 is excluded, because it
 is the default domain of all ROS programs."""
@@ -131,8 +131,8 @@ class Graph:
         self._nodes = tuple(nodes)
         self._parameters = parameters
         self._log_folder = log_folder
-        # The nodes' matrices are small, so additional threads of the linear algebra library only
-        # slow them down.
+        # The nodes' matrices are small, so additional threads of the linear algebra library would
+        # only slow the nodes down.
         one_thread = {"OPENBLAS_NUM_THREADS": "1"}
         self._environment = {**one_thread, **os.environ, **(environment or {})}
         self._namespace = namespace

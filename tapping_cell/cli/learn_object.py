@@ -55,8 +55,8 @@ Moves = tuple[Move, Move]
 MAX_GOALS = 9
 MIN_TAPS = 15
 FRICTION_KNOWN, FACTOR_KNOWN = 0.02, 0.1
-"""Sufficient relative standard deviations of friction and torque factor. They are well below the
-scatter of a tap, so that more accurate values would hardly improve the next goals."""
+"""Sufficient relative standard deviations of friction and torque factor. These deviations are well
+below the scatter of a tap, so more accurate values would hardly improve the next goals."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

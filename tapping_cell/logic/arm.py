@@ -510,8 +510,8 @@ class ArmLogic(DeviceLogic[State, Event]):
             self._key_digests.add(message.key_digest)
         released = message.tap_id == self._released_tap and len(self._key_digests) == 1
         if ours and not released and message.state in CHARGED:
-            # Reports that the striker is charged only make the arm wait longer, so they are used.
-            # Reports that the striker is not charged are ignored, because any program could
+            # Reports that the striker is charged can only make the arm wait longer, so they are
+            # used. Reports that the striker is not charged are ignored, because any program could
             # publish them.
             self._charged_until = now.steady + DISCHARGED_S
         over = message.outcome in (TapperState.FIRED, TapperState.NOT_FIRED)

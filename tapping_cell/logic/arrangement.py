@@ -71,7 +71,7 @@ OPEN = (P.WAITING, P.ACTIVE, P.MAKING_WAY, P.REACHED)
 PROGRESS_TABLE = table(
     [
         # An object can leave its goal again, because another object touched it or because it must
-        # make way.
+        # make way for another object.
         (OPEN, Change.TAPPED_TO_GOAL, (P.ACTIVE,)),
         (OPEN, Change.TAPPED_AWAY, (P.MAKING_WAY,)),
         (OPEN, Change.LEFT, (P.WAITING,)),
@@ -366,8 +366,8 @@ class ArrangementTask(Task):
 
 @dataclass(slots=True, eq=False, kw_only=True)
 class AmongOthersTask(ArrangementTask):
-    """Task of moving one object that is not the cell's own object. It is planned as an arrangement
-    in which only this object is moved."""
+    """Task of moving one object that is not the cell's own object. The task is planned as an
+    arrangement in which only this object is moved."""
 
     resumable: ClassVar[bool] = True
 

@@ -32,7 +32,7 @@ STOPPED: CodedError = (
 
 
 class EnablingDevice:
-    """State of the key and the switch. It is sufficient to hold one of the two."""
+    """State of the key and the switch. Motion is allowed while at least one of the two is held."""
 
     def __init__(self) -> None:
         self._key_at = self._switch_at = -math.inf

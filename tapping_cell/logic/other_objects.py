@@ -1,6 +1,6 @@
 """The other objects on the table as obstacles for the planner, at their last observed poses.
 
-These obstacles include objects without an object file, of which only the outlines are known.
+These obstacles include objects without an object file; only the outlines of such objects are known.
 """
 
 from __future__ import annotations

@@ -46,8 +46,8 @@ class PeerClock:
         return to_seconds(stamp) + self._delays[0][1]
 
     def age(self, stamp: Time, now: Now) -> float:
-        """Return the age of a message in s. It is not negative if ``receive`` was called with its
-        stamp on arrival."""
+        """Return the age of a message in s. The age is not negative if ``receive`` was called with
+        the stamp when the message arrived."""
         return now.steady - self.to_steady(stamp, now)
 
     def skew(self, now: Now) -> float:

@@ -16,8 +16,8 @@ request to the board, the firing window and the firing pulse."""
 RELEASED_S = 0.035
 """Maximum time from the board's report that it fired to the end of the firing pulse."""
 SLOWNESS = 1.1
-"""Maximum ratio of actual to predicted time of flight. It is above 1, because friction and errors
-of the energy curve can make the striker slower than predicted."""
+"""Maximum ratio of actual to predicted time of flight. The ratio is above 1, because friction and
+errors of the energy curve can make the striker slower than predicted."""
 LONGEST_HOLD_S = BEFORE_FLIGHT_S + SLOWNESS * LONGEST_FLIGHT_S
 """Maximum time for which the tapper of any cell may ask the arm to stand still."""
 

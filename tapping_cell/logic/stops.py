@@ -1,6 +1,6 @@
 """Latch of the emergency stop: which sources asserted the stop, and when an operator may reset it.
 
-True on the topic ``emergency_stop`` stops immediately and latches the stop. False only means that
+True on the topic ``emergency_stop`` stops immediately and latches the stop. False means only that
 the publisher no longer asserts its stop; the latch remains until an operator resets it with
 ``clear_fault``. A message does not identify its publisher, so a reset queries every publisher again
 and is refused if one still asserts the stop. A publisher that has vanished, or that does not repeat

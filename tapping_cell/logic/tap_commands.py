@@ -101,7 +101,7 @@ def expired(command: TapCommand, now: Now) -> bool:
 
 
 def overdue(command: TapCommand, now: Now) -> str:
-    """Return the sentence about a command whose expiry has passed."""
+    """Return the error message for a command whose expiry has passed."""
     late = (now.ros - to_nanoseconds(command.expiry)) / NANOSECONDS
     return (
         f"its expiry passed {late:.1f} s ago; check the clocks of the computers and the network,"

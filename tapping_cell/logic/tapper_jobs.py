@@ -14,8 +14,8 @@ from tapping_cell.logic.effects import JobContext
 from tapping_cell.logic.tap_commands import CodedError
 
 WINDOW_S = 0.04
-"""Time from the last check before FIRE to the board's deadline, s. It is twice the 20 ms that FIRE
-and its reply take."""
+"""Time from the last check before FIRE to the board's deadline, s. This constant is twice the 20 ms
+that FIRE and its reply take."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,7 +135,7 @@ def fire(
     outcome, sentence = result.outcome, result.sentence
     status, fault = None, None
     try:
-        # This reply contains both the last shot fired and its measured speed.
+        # This reply contains the number of the last shot fired and the measured speed of this shot.
         reply = driver.status()
         outcome, sentence = _confirmed(result, reply)
         if reply.state is State.CHARGED:

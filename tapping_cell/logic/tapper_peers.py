@@ -22,7 +22,7 @@ from tapping_cell.messages import (
 from tapping_cell.se2 import Pose
 
 TAPPING = (PlanState.PLACING, PlanState.FIRING)
-"""States of the planner in which it waits for a commanded tap."""
+"""States of the planner in which the planner waits for a commanded tap."""
 BLIND = frozenset(
     {
         ErrorCode.CAMERA_SILENT,
@@ -130,7 +130,7 @@ class TapperPeers:
     def begin_tap(self, object_id: str) -> None:
         """Begin the checks of a tap of the object with this name (empty: the cell's own object).
 
-        The following messages of the planner show whether the planner commanded this tap.
+        Later messages of the planner show whether the planner commanded this tap.
         """
         self._planners_tap = False
         self._arm_keys = set() if self._arm is None else {self._arm.arm_key}
@@ -309,7 +309,8 @@ class TapperPeers:
         return None
 
     def _disturbance(self, planned: Pose, now: Now) -> CodedError | None:
-        """Return an error unless the object is seen at the pose for which the tap was planned."""
+        """Return an error if the object is not seen at the pose for which the tap was planned, or
+        None."""
         if self._picture_at is None:
             return None
         seen, seen_at = self._seen.get(self._object, (None, -math.inf))

@@ -46,8 +46,8 @@ from tapping_cell.vision import ReferenceMap
 Array = NDArray[np.float64]
 
 MIN_EFFECT = 0.2
-"""A tap that moves the object by less than this fraction of the wanted distance counts as having no
-effect."""
+"""A tap that moves the object by less than this fraction of the intended distance counts as having
+no effect."""
 
 
 @dataclass(slots=True, eq=False)

@@ -109,7 +109,8 @@ class CellNode(LifecycleNode, Generic[Parameters]):
         self._parameter_class = parameter_class
         self.settings = parameters.read(self, parameter_class)
         self.role = name
-        """Default name of the node. It does not change if ``__node:=`` renames the node."""
+        """Default name of the node. The default name does not change if ``__node:=`` renames the
+        node."""
         self.active = False
         """True while the node may act."""
         self.configured = False

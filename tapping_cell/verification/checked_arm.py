@@ -11,7 +11,7 @@ from tapping_cell.hardware.scara import Joints
 
 
 class CheckedArm:
-    """Driver of the arm that passes the target of each completed move to ``check``."""
+    """Arm driver that passes the target of each completed move to ``check``."""
 
     def __init__(self, driver: ArmDriver, check: Callable[[Joints], None]) -> None:
         self._driver = driver

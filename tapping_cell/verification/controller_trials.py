@@ -80,8 +80,8 @@ def run_faults(name: str, kind: str, count: int, seed: int) -> Outcome:
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """One kind of fault. ``findings``: label of the review finding that it reproduces, as shown in
-    the benchmark's results; empty if there is none."""
+    """One kind of fault. ``findings``: label of the review finding that the fault reproduces, as
+    shown in the benchmark's results; empty if there is none."""
 
     run: Callable[[ControllerCell, np.random.Generator], None]
     findings: str = ""

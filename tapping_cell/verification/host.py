@@ -208,7 +208,7 @@ class Process:
 
     @property
     def starts(self) -> int:
-        """Total number of starts and kills of the process so far."""
+        """Sum of the number of starts and the number of kills of the process so far."""
         return self._life
 
     def start(self) -> None:

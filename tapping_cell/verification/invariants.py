@@ -131,11 +131,11 @@ class InvariantChecker:
     """Whether a person has allowed motion since the last crash, stop or loss of power."""
     hidden_since: float = math.inf
     moved_by_hand: tuple[float, Pose] | None = None
-    """Time at which the object was last moved by hand, and its pose before."""
+    """Time at which the object was last moved by hand, and the object's pose before this motion."""
     held_since: float = math.inf
     """Time since which the panel's emergency stop has been held."""
     planner_gone_since: float = math.inf
-    """Time since which the planner's process has not existed."""
+    """Time at which the planner's process ended; inf while the process exists."""
     promises: dict[tuple[int, int], float] = field(default_factory=dict)
     """End of each of the arm's promises to stand still, by the tap id and key of the request."""
     keys_of_tapper: set[int] = field(default_factory=set)
@@ -537,8 +537,8 @@ class InvariantChecker:
             self.stopped_at["scara_arm"] = math.inf
 
     def _check_striker(self) -> None:
-        """Check that the arm begins no motion with a charged striker, except a motion to a strike
-        pose."""
+        """Check that, while the striker is charged, the arm begins no motion other than a motion to
+        a strike pose."""
         now = self.scheduler.now
         # The arm may still send the next part of its way to the strike pose while it processes the
         # withdrawal of the tap.

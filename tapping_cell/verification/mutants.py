@@ -1,9 +1,9 @@
 """Mutation tests: defects that are inserted into the product's code. The invariants must detect
 each defect.
 
-If a mutant is not detected, the guard that it disables has no effect, or no invariant checks this
-effect. A mutant is a small replacement in the source of one module, applied while the module is
-imported. The files on disk are not changed.
+If a mutant is not detected, either the guard that the mutant disables has no effect, or no
+invariant checks this effect. A mutant is a small replacement in the source of one module, applied
+while the module is imported. The files on disk are not changed.
 """
 
 from __future__ import annotations

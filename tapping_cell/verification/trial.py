@@ -127,7 +127,7 @@ GOAL_TIME_LIMIT_S = 120.0
 SHARE_OF_SHORT_LIMITS, SHORT_LIMIT_S = 0.2, (2.0, 25.0)
 """Fraction of the runs whose goals have a short time limit, and the range of that limit in s."""
 SHARE_OF_ONE_FRAME = 0.25
-"""Fraction of the runs whose planner decides on a single frame of the object at rest."""
+"""Fraction of the runs in which the planner decides on a single frame of the object at rest."""
 PROGRAM_TAPS = 1.0
 """Mean number of taps that a program commands after each goal."""
 SHARE_OF_CONFLICTS = 0.1
@@ -301,8 +301,9 @@ class Trial:
         self._result: PositionObject.Result | None = None
         self._pressed_until = -math.inf
         self._handled_late: set[str] = set()
-        """Frozen processes that were asked to clear while the emergency stop was held. They handle
-        this request when they continue; it is valid if the stop has been released by then."""
+        """Frozen processes that were asked to clear while the emergency stop was held. These
+        processes handle the request when they continue; the request is valid if the stop has been
+        released by then."""
         self._waiting_faults: list[Fault] = []
         self._taken: dict[int, Time] = {}
         """Stamp of the last TAP command with each tap id that the tapper's process has handled."""
@@ -340,8 +341,8 @@ class Trial:
         return self.physical.arm_line, self.physical.tapper_line
 
     def _busy_lines(self) -> tuple[SerialLine, ...]:
-        """Return the lines for ``_programs`` of a second instance of a node. They cannot be opened,
-        because the first instance uses them."""
+        """Return the lines for ``_programs`` of a second instance of a node. These lines cannot be
+        opened, because the first instance uses them."""
         physical = self.physical
         return (
             BusyLine(self.scheduler, physical.arm_line.layer, "arm"),

@@ -156,7 +156,7 @@ def _target(arguments: argparse.Namespace) -> Target:
 
 
 def image_files(paths: list[Path]) -> list[Path]:
-    """Return the files, with folders replaced by the images in them, sorted by name.
+    """Return the image files; each folder is replaced by the images in it, sorted by name.
 
     Raises:
         CalibrationRefused: a file does not exist, or a folder contains no image.

@@ -87,7 +87,7 @@ STAMP_AHEAD_S = 1.0
 """Maximum time by which an image stamp may be ahead of this node's clock."""
 MAX_LATE = 15
 """Number of consecutive images, each older than the last accepted image, after which tracking
-restarts. They span about half a second; messages are not reordered over so long a time."""
+restarts. These images span about half a second; messages are not reordered over so long a time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -431,8 +431,8 @@ class CameraPose(CellNode[Parameters]):
         if not self.active or silent <= self.settings.silence_limit:
             self._missed = 0
             return
-        # The first check that finds the limit exceeded does not report it: if this process itself
-        # was delayed, an image is already queued and is processed before the next check.
+        # The first check that finds the limit exceeded reports nothing: if this process itself was
+        # delayed, an image is already queued and is processed before the next check.
         self._missed += 1
         if self._missed % MISSED_LOG_PERIOD == 2:
             empty = Image()

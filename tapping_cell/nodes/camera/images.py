@@ -69,7 +69,7 @@ class ImageRefused(ValueError):
 
 
 def unpack(message: Image) -> NDArray[np.uint8]:
-    """Return the bytes of an image message, shape (height, width, bytes per pixel). They are
+    """Return the bytes of an image message, shape (height, width, bytes per pixel). The bytes are
     copied only if the rows are padded.
 
     Raises:

@@ -1,4 +1,5 @@
-"""Common base of the clients of the planner's actions: send a goal, monitor it, cancel it."""
+"""Common base of the clients of the planner's actions: they send a goal, monitor the goal and can
+cancel it."""
 
 from __future__ import annotations
 
@@ -27,7 +28,7 @@ class ActionFollower(ClientNode, Generic[Event]):
         self._events: queue.Queue[Event] = queue.Queue()
         self._handle: ClientGoalHandle | None = None
         self._sent = 0
-        """Number of goals sent so far. It is also the number of the latest goal."""
+        """Number of goals sent so far. This number also identifies the latest goal."""
         self._action = ActionClient(self.node, kind, action)
 
     def accepts_goals(self) -> bool:

@@ -214,7 +214,7 @@ class SingleTapClient(GoalClient):
 
 
 def rate_of(stamps: list[float]) -> float:
-    """Return the frame rate in Hz from the frame times in s. It is computed from the 20 % quantile
-    of the intervals, so that the long intervals due to lost frames have no effect."""
+    """Return the frame rate in Hz from the frame times in s. The rate is computed from the 20 %
+    quantile of the intervals, so that the long intervals due to lost frames have no effect."""
     steps = [after - before for before, after in pairwise(stamps) if after > before]
     return 1.0 / float(np.quantile(steps, 0.2)) if steps else math.nan

@@ -18,8 +18,8 @@ from tapping_cell.nodes.drivers.ros_link import RosLink
 from tapping_cell.nodes.logic_host import LogicHost, LogicNode
 
 URGENCY = 1
-"""Real-time priority. This is the lowest one, but it is still above that of every process without
-real-time scheduling."""
+"""Lowest real-time priority. It is still above the priority of every process without real-time
+scheduling."""
 
 
 class DeviceDriver(Protocol):

@@ -22,8 +22,9 @@ class RosLink(ABC):
     """Link whose topics stay open as long as the instance exists, so that ``open`` also finds a
     peer that started after the link.
 
-    A subclass creates its topics and services on ``_node``, then calls ``_start``. It notifies the
-    condition ``_received`` when a message arrives. ``_lock`` serialises commands and stops.
+    A subclass creates its topics and services on ``_node``, then calls ``_start``. The subclass
+    notifies the condition ``_received`` when a message arrives. ``_lock`` serialises commands and
+    stops.
     """
 
     def __init__(self, parent: Node, suffix: str) -> None:

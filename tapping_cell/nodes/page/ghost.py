@@ -77,9 +77,9 @@ class Ghost:
         self, before: Pose, strike: Pose, predicted: Pose, covariance: Array
     ) -> dict[str, object]:
         """Return the drawing of a planned tap in fractions of the image size: the ``arrow`` of the
-        striker, the predicted ``outline``, the ``way`` of the centre, and the ``ellipse`` that
-        contains the centre with a probability of 95 %. ``covariance`` (2, 2) of the predicted
-        centre is in m^2."""
+        striker, the predicted ``outline``, the ``way`` (predicted path of the object's centre), and
+        the ``ellipse`` that contains the centre with a probability of 95 %. ``covariance`` (2, 2)
+        of the predicted centre is in m^2."""
         values, axes = np.linalg.eigh(covariance)
         radii = ELLIPSE_95 * np.sqrt(np.maximum(values, 0.0))
         around = np.linspace(0.0, 2.0 * math.pi, 48, endpoint=False)

@@ -1,9 +1,9 @@
 """Queue of goals, and named goals. This module has no side effects: the page's node sends the
 goals.
 
-The queue starts only when a person runs it. Then the next goal is sent whenever the current goal
-was reached. The queue pauses after any other result, because the cause may also affect the next
-goal.
+The queue starts only when a person runs it. From then on, the next goal is sent each time the
+current goal has been reached. The queue pauses after any other result, because the cause may also
+affect the next goal.
 """
 
 from __future__ import annotations

@@ -46,8 +46,8 @@ class Guard:
     token: str
     """Token that a page must send; empty if none is required."""
     addresses: bool
-    """Whether any numeric address is also accepted as Host. This does not permit DNS rebinding,
-    which needs a name."""
+    """Whether any numeric address is also accepted as Host. Accepting addresses does not permit DNS
+    rebinding, because DNS rebinding needs a name."""
 
     @classmethod
     def make(cls, address: str, more_names: Iterable[str], token: str) -> Guard:

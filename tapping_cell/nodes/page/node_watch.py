@@ -131,8 +131,8 @@ class NodeWatch:
         return tuple(name for name in CORE if self.has_arm or name != ARM)
 
     def name_of(self, role: str) -> str:
-        """Return the name of the node with this role. If several nodes have it, prefer a running
-        one; if none has it, return the role itself."""
+        """Return the name of the node with this role. If several nodes have this role, prefer a
+        running node; if no node has this role, return the role itself."""
         found = [(not peer.life, name) for name, peer in self._peers.items() if peer.role == role]
         return min(found)[1] if found else role
 

@@ -78,8 +78,8 @@ REPORT_POLICY = (
     "default-src 'none'; style-src 'unsafe-inline'; img-src data:; base-uri 'none'; "
     "form-action 'none'; frame-ancestors 'none'; sandbox"
 )
-"""Content security policy of a report. The report is shown unchanged, but it cannot run scripts,
-and browsers treat it as a page of another web site than the operator's page."""
+"""Content security policy of a report. The report is shown unchanged, but cannot run scripts.
+Browsers treat the report and the operator's page as pages of different web sites."""
 HEADERS = {
     "Cross-Origin-Opener-Policy": "same-origin",
     "Cross-Origin-Resource-Policy": "same-origin",
@@ -90,7 +90,8 @@ HEADERS = {
     "Server": "tapping cell",
 }
 PICTURE_HEADER = struct.Struct("!Idd")
-"""Header before the JPEG: number of the image, its stamp and its age when sent, both in s."""
+"""Header before the JPEG: number of the image, stamp of the image in s, and age of the image in s
+when it is sent."""
 
 Answer = Callable[[dict[str, object]], None]
 """Function that sends a page its response; may be called from any thread."""

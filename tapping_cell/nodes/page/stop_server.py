@@ -133,8 +133,8 @@ class StopHandler(RequestHandler):
 
 
 class StopServer(HTTPServer):
-    """Serve on sockets that are already bound. The oldest connection is closed to accept a new
-    one."""
+    """Serve on sockets that are already bound. If too many connections are open, the oldest one is
+    closed to accept a new one."""
 
     level: StopLevel
     guard: Guard
@@ -148,8 +148,8 @@ class StopServer(HTTPServer):
 
     @classmethod
     def make(cls, level: StopLevel, guard: Guard, page_port: int) -> StopServer:
-        """Return a server for ``level``. It accepts requests of pages that are served at
-        ``page_port``, if they meet the requirements of ``guard``."""
+        """Return a server for ``level``. The server accepts requests of pages that are served at
+        ``page_port``, if the requests meet the requirements of ``guard``."""
         application = Application(log_function=lambda _: None)
         made = cls(
             application,
@@ -171,8 +171,8 @@ class StopServer(HTTPServer):
         super().handle_stream(stream, address)
 
     def admit(self, connection: Any) -> None:
-        """Mark a connection as that of a page, because it has sent an admitted request, so that it
-        is closed after the other connections."""
+        """Mark a connection that has sent an admitted request as the connection of a page. Such
+        connections are closed after all other connections."""
         stream = connection.stream
         if stream in self._streams:
             self._streams.remove(stream)

@@ -44,8 +44,8 @@ class DeferredActionServer:
 
     def answer(self, handle: ServerGoalHandle, result: Any) -> None:
         """Finish a goal with its result."""
-        # The goal is executed only now, because an execute callback that waits for the result would
-        # occupy the single-threaded executor completely.
+        # The goal is not executed until now, because an execute callback that waits for the result
+        # would occupy the single-threaded executor completely.
         self._results[bytes(handle.goal_id.uuid)] = result
         handle.execute()
 

@@ -1,8 +1,8 @@
 """Markers of the cell for RViz and Foxglove, in ``table``.
 
-They show the outlines of the table, the object, the goal and the predicted final pose. They also
-show the goal tolerance, an arrow for the tap, keep-out zones, the workspace of the object and its
-path so far, and fixed tappers with the lines along which they strike.
+The markers show the outlines of the table, the object, the goal and the predicted final pose. They
+also show the goal tolerance, an arrow for the tap, keep-out zones, the workspace of the object and
+its path so far, and fixed tappers with the lines along which they strike.
 """
 
 from __future__ import annotations

@@ -113,8 +113,8 @@ def run_name(began: float, namespace: str, goal: Any) -> str:
 
 
 def arrangement_name(began: float, namespace: str, report: ArrangementState) -> str:
-    """Return the run name of an arrangement. It contains the goal if there is a single object,
-    otherwise the number of objects."""
+    """Return the run name of an arrangement. The name contains the goal if there is a single
+    object, otherwise the number of objects."""
     goals = [one for one in report.objects if one.has_goal]
     if len(goals) == 1:
         words = f"{goals[0].object_id}_{_goal_words(goals[0].goal_pose)}"

@@ -331,8 +331,8 @@ class RunRecorder(CellNode[Parameters]):
             (now - max(0, clock - received) if received else now, name, data)
             for name, data, received in self._polled.take(names)
         ]
-        # At the beginning of an arrangement, plan_state can only be assigned to the arrangement if
-        # arrangement_state is processed before it.
+        # At the beginning of an arrangement, plan_state can be assigned to the arrangement only if
+        # arrangement_state is processed before plan_state.
         waiting.sort(key=lambda entry: -inf if entry[1] == "arrangement_state" else entry[0])
         for stamp, name, data in waiting:
             if name == PICTURES and not self._is_picture_due(stamp):
@@ -392,8 +392,8 @@ class RunRecorder(CellNode[Parameters]):
 
     def _is_late(self, plan: PlanState) -> bool:
         """Return whether a ``plan_state`` is older than the end of its goal, although this end has
-        already been received. This happens because the order of messages of different topics is
-        not guaranteed."""
+        already been received. Such late messages occur because the order of messages of different
+        topics is not guaranteed."""
         end = self._end
         if end is None or not (self._arranging or same_goal(plan, end)):
             return False
