@@ -284,7 +284,8 @@ class CrashCell:
         return Crash(node, phase, "reached", seconds, "", tuple(seen.unsafe))
 
     def ended(self) -> PlanState | None:
-        """Return the planner's message that the goal has ended, or None if it has not ended."""
+        """Return the planner's message that the goal has ended, or None if the goal has not
+        ended."""
         ends = (PlanState.REACHED, PlanState.FAILED)
         return next((p for p in tuple(self.seen.plans) if p.state in ends), None)
 

@@ -1,5 +1,5 @@
-"""Taps made by the real drivers with emulated devices over faulty serial lines, checked against the
-devices' true states.
+"""Taps that the real drivers make with emulated devices over faulty serial lines. The drivers'
+results are checked against the devices' true states.
 
 A tap consists of the jobs of the drivers' state machines (``logic.arm_jobs``,
 ``logic.tapper_jobs``): place the striker, charge, check again that the arm is in position, fire

@@ -288,7 +288,7 @@ def with_own_ports(
 
 
 def domain_number(environment: Mapping[str, str] = os.environ) -> int:
-    """Return the ROS domain that an environment selects; 0 if it selects none.
+    """Return the ROS domain that an environment selects; 0 if it does not select a domain.
 
     Raises:
         GraphError: ROS_DOMAIN_ID is not a domain.

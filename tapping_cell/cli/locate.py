@@ -203,7 +203,7 @@ def read_photograph(path: Path, size: tuple[int, int]) -> NDArray[np.uint8] | st
         image = image if turned is None or turned.shape != size[::-1] else turned
     if image.dtype == np.uint16:
         # Convert to 8 bits. A camera with 10, 12 or 14 bits leaves the upper bits zero, so the
-        # number of bits is that of the largest value, rounded up to an even number.
+        # number of bits is that of the image's largest value, rounded up to an even number.
         bits = max(8, int(image.max()).bit_length())
         return np.asarray(image // 2 ** (bits + bits % 2 - 8), dtype=np.uint8)
     if image.dtype != np.uint8:

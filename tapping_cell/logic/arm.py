@@ -465,7 +465,8 @@ class ArmLogic(DeviceLogic[State, Event]):
         return HoldStill.Response(granted=True, duration=request.duration)
 
     def _unsteady(self, request: HoldStill.Request, now: Now) -> CodedError | None:
-        """Return why the arm refuses to promise to stand still, or None if it does not refuse."""
+        """Return why the arm refuses to promise to stand still, or None if the arm does not
+        refuse."""
         if not 0 < request.duration <= self._longest_hold:
             return (
                 ErrorCode.COMMAND_INVALID,

@@ -146,8 +146,8 @@ class ArrangementTask(Task):
         """Return whether every object was seen at rest after the steady time ``after``.
 
         If every object was seen, the monitor watches the present object after this call; otherwise
-        it watches the first object that was not seen. An object that must not be moved is left out
-        if it is not on the table when the task begins.
+        it watches the first object that was not seen. An object that must not be moved is not
+        considered if it is not on the table when the task begins.
         """
         found = {}
         for body in self._bodies():

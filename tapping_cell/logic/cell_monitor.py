@@ -161,7 +161,7 @@ class CellMonitor:
         return since > moment + QUICKEST_IMAGE_S
 
     def missing(self, now: Now) -> CodedError | None:
-        """Return why the cell is not ready for a tap, or None if it is."""
+        """Return why the cell is not ready for a tap, or None if the cell is ready."""
         arm, tapper = self.arm, self.tapper
         of_arm = self._arm_missing(arm, now) if self.has_arm else None
         if of_arm is not None:
@@ -261,8 +261,8 @@ class CellMonitor:
         return arm.error_code, arm.error_msg
 
     def left_behind(self) -> int:
-        """Return the id of a tap from a previous planner that the arm still executes; 0 if there is
-        none."""
+        """Return the id of the tap that a previous planner has commanded and that the arm still
+        executes; 0 if there is no such tap."""
         arm = self.arm
         serving = arm is not None and arm.state in (ArmState.IN_POSITION, ArmState.MOVING)
         return int(arm.tap_id) if arm is not None and serving else 0
@@ -280,7 +280,8 @@ class CellMonitor:
         return int(TapperState.NONE) if tapper is None else int(tapper.outcome)
 
     def tapper_of(self, tap_id: int) -> TapperState | None:
-        """Return the last state of the tapper if it is about this tap, or None."""
+        """Return the last state of the tapper if this state is about the given tap, otherwise
+        None."""
         tapper = self.tapper
         return tapper if tapper is not None and tapper.tap_id == tap_id else None
 

@@ -1,7 +1,7 @@
 """Validity of a person's confirmation of a planned tap.
 
 If a confirmed tap is not fired because a message or image came too late, the tap is planned again.
-The confirmation remains valid if the new tap is nearly the same as the confirmed one. Otherwise, a
+The confirmation remains valid if the new tap is nearly the same as the confirmed tap. Otherwise, a
 new confirmation is requested, and the request states the difference.
 """
 

@@ -133,8 +133,8 @@ class StopLevels:
     publishers: tuple[str, ...]
     """Names of the nodes that publish ``emergency_stop`` at present."""
     gone: tuple[str, ...]
-    """Nodes whose publisher existed when a stop was received, but no longer exists. Only stops
-    since the last reset (``KeepStop(None)``) count."""
+    """Nodes whose publisher existed when a stop was received, but does not exist at present. Only
+    stops since the last reset (``KeepStop(None)``) count."""
     silent: tuple[str, ...] = ()
     """If there are several publishers: nodes whose publisher does not resend its level to a new
     subscription."""

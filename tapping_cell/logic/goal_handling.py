@@ -94,12 +94,12 @@ class GoalHandling:
     ) -> None:
         """Create the goal handling of a cell.
 
-        ``other_objects``: obstacles; ``objective``: quantity to minimise, empty for the one in the
-        cell file; ``adapt``: learn from taps; ``probe``: begin with a few of the smallest taps if
-        the object's friction is not known; ``keep_for``: cell for which the learnt corrections of
-        the model are stored between runs, empty to store none; ``time_limit``: default time limit
-        of a goal, s; ``maps``: maps already made for this cell; ``frames``: other frames in which
-        goals may be given, None for ``table`` only.
+        ``other_objects``: obstacles; ``objective``: quantity to minimise, empty for the quantity in
+        the cell file; ``adapt``: learn from taps; ``probe``: begin with a few of the smallest taps
+        if the object's friction is not known; ``keep_for``: cell for which the learnt corrections
+        of the model are stored between runs, empty to store none; ``time_limit``: default time
+        limit of a goal, s; ``maps``: maps already made for this cell; ``frames``: other frames in
+        which goals may be given, None for ``table`` only.
         """
         self.cell = cell
         self._frames = frames or TableOnly()
@@ -177,7 +177,8 @@ class GoalHandling:
             task.free_space = self.map.free
 
     def _goal_refusal(self, goal: Pose) -> Refusal | None:
-        """Return why the cell cannot move the object to this goal, or None if it can."""
+        """Return why the cell cannot move the object to this goal, or None if the goal is
+        possible."""
         return check_goal(goal, self.map.space, self.map.free)
 
     def _session(

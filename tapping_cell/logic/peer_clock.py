@@ -51,8 +51,8 @@ class PeerClock:
         return now.steady - self.to_steady(stamp, now)
 
     def skew(self, now: Now) -> float:
-        """Return this computer's ROS time minus that of the node, including the minimum delay, s; 0
-        if unknown."""
+        """Return this computer's ROS time minus the ROS time of the node, s; 0 if unknown. The
+        difference includes the minimum delay."""
         if not self._delays:
             return 0.0
         return self._delays[0][1] - (now.steady - 1e-9 * now.ros)

@@ -557,7 +557,7 @@ class PlannerLogic:
             self._fail(code, f"the cell was not ready: {sentence}", now)
 
     def _observe(self, task: Task, now: Now) -> None:
-        """Observe the object at rest, evaluate the last tap, and decide on the next one."""
+        """Observe the object at rest, evaluate the last tap, and decide on the next tap."""
         needed = self._settings.frames_needed
         after = self._struck_at if self._moved_by_tap(now) else self._observe_after
         observed = task.observed(self._monitor, after, needed, now)
@@ -666,7 +666,7 @@ class PlannerLogic:
             )
 
     def _exhausted(self, task: Task) -> CodedError | None:
-        """Return why no further tap is made, or None if one may be made."""
+        """Return why no further tap is made, or None if a further tap may be made."""
         if task.without_effect >= self._settings.attempts:
             return (
                 ErrorCode.TAP_WITHOUT_EFFECT,
@@ -936,7 +936,8 @@ class PlannerLogic:
         self._enter(Event.CELL_NOT_READY, S.WAITING_FOR_CELL, now, deadline)
 
     def _disturbed(self, shot: Shot, now: Now) -> bool:
-        """Return whether this object or another one was moved since the tap was planned."""
+        """Return whether the present object or another object was moved since the tap was
+        planned."""
         limits = self._settings.moved_limit, self._settings.turned_limit
         if self._monitor.seen_away_from(shot.before, *limits):
             return True

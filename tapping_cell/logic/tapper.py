@@ -237,7 +237,7 @@ class TapperLogic(DeviceLogic[State, Event]):
     # Queries by the running job, without side effects
 
     def check_charging(self, now: Now) -> CodedError | None:
-        """Return why charging must not begin or continue, or None if it may."""
+        """Return why charging must not begin or continue, or None if charging is allowed."""
         tap = self._tap
         if tap is None:
             return ErrorCode.NONE, "the tap is over"

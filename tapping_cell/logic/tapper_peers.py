@@ -179,7 +179,7 @@ class TapperPeers:
         return None
 
     def check_firing(self, tap_id: int, planned: Pose, strike: Pose, now: Now) -> CodedError | None:
-        """Return why the peers' messages forbid firing the tap, or None if it may be fired.
+        """Return why the peers' messages forbid firing the tap, or None if firing is allowed.
 
         ``planned``: pose of the object for which the tap was planned; ``strike``: commanded pose of
         the tip. Both are in ``table``.

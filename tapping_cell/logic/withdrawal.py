@@ -95,7 +95,7 @@ def uncovering(
 ) -> tuple[Waypoint, ...]:
     """Return waypoints to the pose that hides the least of the area that the arm hides now.
 
-    If several poses hide the same amount, the one that the arm reaches first is used. The park pose
+    If several poses hide equally much, the pose that the arm reaches first is used. The park pose
     is used if no other pose hides less than the park pose, if the lens position ``camera`` in
     ``table`` is not known, or if the arm is not a SCARA.
     """

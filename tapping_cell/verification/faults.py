@@ -163,7 +163,7 @@ def _freeze(rng: np.random.Generator, trial: FaultTarget) -> Made:
 
 
 def _freeze_at_shot(rng: np.random.Generator, trial: FaultTarget) -> Made:
-    """Freeze a node for about as long as the arm promises to stand still."""
+    """Freeze a node for about the time for which the arm promises to stand still."""
     node = _pick(rng, ("tapper_trigger", "tapper_trigger", trial.arm_node, "tap_planner"))
     duration = float(rng.uniform(0.02, 0.6))
     return lambda t: t.freeze(node, duration), f"{node} frozen for {duration:.3f} s"
@@ -447,7 +447,7 @@ def _slow_answer(rng: np.random.Generator, trial: FaultTarget) -> Made:
 
 
 def _received_by_one(rng: np.random.Generator, trial: FaultTarget) -> Made:
-    """A message is received by one node immediately and by the others late."""
+    """A message is received by one node immediately, and by all other nodes late."""
     kind = _pick(rng, ONE_SIDED)
     what, description = MAKERS[kind](rng, trial)
     first = _pick(rng, ("scara_arm", *NODES))
@@ -634,7 +634,8 @@ def _shot_line(rng: np.random.Generator, trial: FaultTarget) -> Made:
 
 
 def _power(rng: np.random.Generator, trial: FaultTarget) -> Made:
-    """A board loses its power for a moment; if it is unplugged, its port disappears as well."""
+    """A board loses its power for a moment. If the board is unplugged, its port disappears as
+    well."""
     name, way = _pick(rng, ("arm", "tapper")), Direction.TO_HOST
     unplugged, lasting = name == "arm" and bool(rng.random() < 0.5), draw_duration(rng, 0.3, 3.0)
 

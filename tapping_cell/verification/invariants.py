@@ -45,7 +45,7 @@ STRIKE_ANGLE_RAD = 0.01
 """Maximum deviations of the tip's true pose from its commanded pose at a release, m and rad. They
 allow for the errors of the arm."""
 ENERGY_SHARE = 0.03
-"""Maximum relative deviation of the energy of a release from the requested one."""
+"""Maximum relative deviation of the energy of a release from the requested energy."""
 STRIKE_HEIGHT_M = 0.0005
 BUMP_M = 0.004
 BUMP_RAD = math.radians(6.0)

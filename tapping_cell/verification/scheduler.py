@@ -161,8 +161,8 @@ class Scheduler:
             fiber.baton.acquire()
 
     def end(self, fiber: Fiber) -> None:
-        """Let a killed fiber run until it has ended; re-raise the exception that ended it, if
-        any."""
+        """Let a killed fiber run until it has ended. If an exception ended the fiber, raise this
+        exception again."""
         if threading.get_ident() != self._main:
             raise RuntimeError("only an event in the main thread may end a fiber")
         fiber.baton.release()

@@ -214,7 +214,7 @@ class Trial:
     of_a_shot: tuple[str, ...] = OF_A_SHOT
     moments: tuple[str, ...] = MOMENTS
     further_causes: Mapping[int, frozenset[str]] = {}
-    """Kinds of faults that explain an error code in addition to those of ``causes``."""
+    """Kinds of faults that explain an error code, in addition to the kinds in ``causes``."""
 
     def __init__(
         self,

@@ -70,7 +70,8 @@ def record(arguments: argparse.Namespace, cell: Cell, console: Console) -> bool:
 
 def energies_of(cell: Cell) -> list[float]:
     """Return the energies of the taps in J, evenly spaced on a logarithmic scale. The lowest energy
-    is that of the object's smallest tap, the highest that of the largest tap with enough clearance.
+    is that of the object's smallest tap. The highest energy is that of the largest tap with enough
+    clearance.
 
     Raises:
         CalibrationRefused: there is not enough clearance, or the tapper's range is too narrow.

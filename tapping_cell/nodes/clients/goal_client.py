@@ -94,7 +94,7 @@ class GoalClient(ActionFollower[Event]):
         self.last_run = ""
         """Folder of the run that the recorder finished last; empty before the first run."""
         self.planner_active = False
-        """Whether a state of the planner has been received. The planner publishes the first one
+        """Whether a state of the planner has been received. The planner publishes its first state
         when it is activated."""
         self._true_pose_received = 0.0
         self._taps_received = 0

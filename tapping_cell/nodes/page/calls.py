@@ -29,8 +29,9 @@ def call_service(
     answer: Answer,
     on_reply: Callable[[Any], None] | None = None,
 ) -> None:
-    """Call a service. The page receives the response of the service, or a message that no server
-    is available. ``on_reply`` answers the page instead if the response is not that of a Trigger."""
+    """Call a service. The page receives the response of the service, or a message that no server is
+    available. If ``on_reply`` is given, it answers the page instead. A service that is not a
+    Trigger needs ``on_reply``."""
     if not client.service_is_ready():
         answer(answer_to(request, False, f"{name}: does not answer; is it running?"))
         return

@@ -63,7 +63,7 @@ class GoalQueue:
             self.hold(f"The queue is paused: {sentence}")
 
     def next(self, busy: bool, blocked: str) -> RequestedGoal | None:
-        """Remove and return the goal to send now, or None if none is to be sent."""
+        """Remove and return the goal to send now. Return None if no goal is to be sent."""
         if blocked:
             self.hold(f"The queue is paused. {blocked}")
         if not self.running or busy:

@@ -44,7 +44,7 @@ class Guard:
     names: tuple[str, ...]
     """Host names by which the page may be requested."""
     token: str
-    """Token that a page must send; empty if none is required."""
+    """Token that a page must send; empty if no token is required."""
     addresses: bool
     """Whether any numeric address is also accepted as Host. Accepting addresses does not permit DNS
     rebinding, because DNS rebinding needs a name."""

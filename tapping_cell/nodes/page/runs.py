@@ -58,7 +58,7 @@ class Runs:
             return None
 
     def report(self, name: str) -> Path | None:
-        """Return the report of a run, or None if there is none."""
+        """Return the report of a run, or None if the run has no report."""
         run = self.find(name)
         report = run / REPORT if run is not None else None
         return report if report and report.is_file() and not report.is_symlink() else None

@@ -1,7 +1,7 @@
 """Deserialisation of messages that a node of another version of the cell may have published.
 
-The middleware matches publishers and subscriptions only by the name of their message type, so a
-received message may have another definition than the one in this version.
+The middleware matches publishers and subscriptions only by the name of their message type, so the
+definition of a received message may differ from the definition in this version.
 """
 
 from __future__ import annotations
