@@ -498,8 +498,8 @@ class ArmLogic(DeviceLogic[State, Event]):
 
     def _is_of_tapper(self, key: int) -> bool:
         """Return whether a request with this key comes from the tapper, and not from another
-        client, for example one that makes the first request for a tap while the tapper's process is
-        suspended.
+        client. Another client could, for example, make the first request for a tap while the
+        tapper's process is suspended.
 
         Return False if several tappers have reported a key for the present tap.
         """

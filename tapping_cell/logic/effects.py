@@ -95,8 +95,9 @@ class Call:
     """Call a service. ``on_answer(token, response)`` is then called once; the response is None
     after ``timeout``.
 
-    If several nodes offer the service, it is not called, and the answer is SeveralServers: each of
-    these nodes would handle the request, and the first answer might come from the wrong one.
+    If several nodes offer the service, the service is not called, and the answer is SeveralServers.
+    Otherwise, each of these nodes would handle the request, and the first answer might come from
+    the wrong node.
     """
 
     service: str

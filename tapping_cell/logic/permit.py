@@ -11,7 +11,7 @@ BEFORE_FLIGHT_S = 0.17
 """The arm stands still for this time plus the striker's time of flight. This constant covers the
 requests to arm and board, the firing window and the firing pulse."""
 RELEASE_S = 0.1
-"""Minimum part of ``BEFORE_FLIGHT_S`` that must remain when the arm's answer arrives: for the
+"""Minimum part of ``BEFORE_FLIGHT_S`` that must remain when the arm's answer arrives. It covers the
 request to the board, the firing window and the firing pulse."""
 RELEASED_S = 0.035
 """Maximum time from the board's report that it fired to the end of the firing pulse."""

@@ -69,8 +69,9 @@ def withdrawal(
 ) -> tuple[Waypoint, ...]:
     """Return waypoints from the joints ``current`` to a pose with a free view or to the park pose.
 
-    The park pose is used if the scene is not known, if no pose at travel height has a free view,
-    or if the arm is not a SCARA, because the cell file does not describe the links of other arms.
+    The park pose is used if the scene is not known or if no pose at travel height has a free view.
+    It is also used if the arm is not a SCARA, because the cell file does not describe the links of
+    other arms.
     """
 
     def choose(geometry: ScaraGeometry, raised: Joints) -> Array | None:

@@ -40,8 +40,8 @@ def claim(name: str) -> socket.socket | None:
     process ends. Return None if another process holds the name.
 
     The name is a Linux abstract socket address. The name leaves no file behind. It is valid within
-    one network namespace of Linux. One network namespace is sufficient, because the loopback
-    interface, through which the nodes of two cells could disturb each other, belongs to a single
+    one network namespace of Linux. One network namespace is sufficient: the nodes of two cells
+    could disturb each other through the loopback interface, and this interface belongs to a single
     network namespace too.
     """
     held = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)

@@ -91,7 +91,7 @@ class CellNode(LifecycleNode, Generic[Parameters]):
     """Life-cycle node with parameters from one dataclass with a field ``autostart``.
 
     A subclass creates its publishers and subscriptions in its constructor, so that they appear in
-    the graph immediately, and overrides :meth:`configure`, :meth:`activate`, :meth:`deactivate`,
+    the graph immediately. It overrides :meth:`configure`, :meth:`activate`, :meth:`deactivate`,
     :meth:`cleanup`, :meth:`stop_now` and :meth:`health`.
     """
 
@@ -173,8 +173,8 @@ class CellNode(LifecycleNode, Generic[Parameters]):
 
     def port_path(self, port: str) -> Path:
         """Return the path of a port. ``~`` is replaced by the home folder, ``{namespace}`` by the
-        node's namespace, and ``{cell}`` by the result of :func:`key_of`, which contains the ROS
-        domain and the namespace."""
+        node's namespace, and ``{cell}`` by the result of :func:`key_of`. The latter contains the
+        ROS domain and the namespace."""
         port = port.replace("{namespace}", self.get_namespace().strip("/"))
         return Path(port.replace("{cell}", key_of(self))).expanduser()
 

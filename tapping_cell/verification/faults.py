@@ -590,8 +590,8 @@ def _clock_step(rng: np.random.Generator, trial: FaultTarget) -> Made:
 
     def strike(t: FaultTarget) -> None:
         t.clocks[node].offset += step
-        # A node estimates the clock of another node from the messages of the last ``WINDOW_S``, so
-        # its estimate is still wrong for this time after the clock was set back.
+        # A node estimates the clock of another node from the messages of the last ``WINDOW_S``.
+        # After the clock was set back, the estimate therefore remains wrong for this time.
         t.note_disturbance(lasting + WINDOW_S)
         t.scheduler.after(lasting, back(t))
 

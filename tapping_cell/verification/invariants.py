@@ -85,8 +85,8 @@ CHARGE_AGE_S, CARRIED_S = 0.65, 2.5
 """The arm must not begin to move within ``CHARGE_AGE_S`` (s) after it has received a report that
 the striker is charged, unless the striker has been charged for longer than ``CARRIED_S`` (s)."""
 CONTINUED_S = 0.05
-"""Maximum time for which the arm may still begin a part of its way to a strike pose after it has
-processed the withdrawal of the tap, s."""
+"""Maximum time from when the arm has processed the withdrawal of a tap until it begins a further
+part of its way to the strike pose, s."""
 ROUNDING_S = 1e-6
 """Tolerance for the rounding of times on the processes' clocks."""
 MOVE_TOLERANCE = Joints(0.005, 0.005, 0.0005, 0.01)
@@ -142,14 +142,14 @@ class InvariantChecker:
     """Random keys of the tapper. Only a request with one of these keys can end the arm's promise
     early."""
     last_check: tuple[float, object | None] = (-math.inf, "no check was made")
-    """Time of the last check that the tapper's state machine made before FIRE, and the reason for
-    which it refused the shot (None: it did not refuse)."""
+    """Time of the last check that the tapper's state machine made before FIRE. If the check refused
+    the shot, also the reason, otherwise None."""
     motor_weak_until: float = -math.inf
     """Time until which the tapper's motor may have lost steps due to missing power."""
     unseen_limit: float = 0.0
     """Maximum time from a change of the scene (the object is moved or hidden) to a release, s. This
-    maximum is the sum of the time for which the object may be unseen and an allowance for delayed
-    messages and the board's firing window."""
+    maximum is the sum of two times: the time for which the object may be unseen, and an allowance
+    for delayed messages and for the board's firing window."""
     seen_by_tapper: deque[tuple[float, Pose]] = field(default_factory=lambda: deque(maxlen=100))
     """Poses of the object that the tapper's process received, each with the time of receipt."""
     motion_seen_by_tapper: bool = False
@@ -177,7 +177,7 @@ class InvariantChecker:
     arm."""
     future_received: dict[str, tuple[float, float]] = field(default_factory=dict)
     """For each topic, the time at which the tapper's process last received a stamp too far in the
-    future, and the offset of its clock at that time, s."""
+    future, and the offset of the process's clock at that time, s."""
     seen_moving: bool = False
     """Whether the object moved in the last observation that the planner's process received."""
     deadlines: dict[int, float] = field(default_factory=dict)

@@ -295,8 +295,8 @@ def lines(result: CameraCalibration) -> list[str]:
 
 
 def write_pictures(folder: Path, paths: list[Path], result: CameraCalibration) -> None:
-    """Write one image per view, with the corners and their errors (magnified 50 times), and one
-    image that shows which parts of the camera's image the views cover.
+    """Write one image per view, with the corners and their errors (magnified 50 times). Also write
+    one image that shows which parts of the camera's image the views cover.
 
     Raises:
         OSError: the folder is not writable.

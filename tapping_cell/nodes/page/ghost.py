@@ -131,8 +131,9 @@ class Ghost:
         """Return which of the directions 0, 90, 180 and -90 degrees on the table points most to the
         right in the image.
 
-        The page uses this direction so that every arrow key moves the ghost along an axis of the
-        table, but approximately in the direction of the key in the image.
+        The page uses this direction for the arrow keys: each key moves the ghost along an axis of
+        the table, namely the axis that points approximately in the direction of the key in the
+        image.
         """
         ends = [[x, y], [x + SIDE, y], [x, y + SIDE]]
         here, along_x, along_y = self.view.project(ends, self.height)

@@ -108,9 +108,9 @@ STATES: dict[str, type] = {
     "tapper_state": TapperState,
     "arrangement_state": ArrangementState,
 }
-"""Latched topics, in the order in which they are read. arrangement_state must be the last: the
-planner publishes it before the corresponding plan_state, so once that plan_state has been read, the
-arrangement_state has arrived too."""
+"""Latched topics, in the order in which they are read. arrangement_state must be the last of these
+topics: the planner publishes arrangement_state before the corresponding plan_state. Once a
+plan_state has been read, the corresponding arrangement_state has therefore arrived too."""
 STREAMS: dict[str, type] = {
     "/diagnostics": DiagnosticArray,
     "emergency_stop": Bool,
