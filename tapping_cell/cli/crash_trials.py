@@ -179,7 +179,8 @@ class CrashCell:
             "scara_arm": {"port": arm, "home_on_activate": True},
             "tapper_trigger": {"port": tapper},
         }
-        # With its own HOME, the planner does not use the stored goal of another cell.
+        # The nodes have their own HOME, so that the planner does not use the stored goal of another
+        # cell.
         self.graph = Graph(SIMULATED, parameters, folder / "logs", {"HOME": str(folder)})
         self.client = GoalClient("crash_trials")
         self.seen = Observed()
@@ -352,7 +353,7 @@ class CrashCell:
         self.wait(self._services[service].call_async(Trigger.Request()).done, 5.0)
 
     def wait(self, condition: Callable[[], bool], patience: float, poll: float = 0.02) -> bool:
-        """Wait for a condition. Return False if it is not met within ``patience`` s."""
+        """Wait for a condition. Return False if the condition is not met within ``patience`` s."""
         deadline = time.monotonic() + patience
         while not condition():
             if time.monotonic() > deadline:

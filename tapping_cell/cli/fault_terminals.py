@@ -45,7 +45,7 @@ def _on_alarm(number: int, frame: FrameType | None) -> None:
 
 
 class TerminalCell(TrialCell):
-    """Two emulated devices on pseudo-terminals that the fault layer can disconnect."""
+    """Two emulated devices on pseudo-terminals. The fault layer can disconnect the terminals."""
 
     def __init__(self, dialect: Dialect, seed: int, folder: Path) -> None:
         self._folder = folder

@@ -123,8 +123,8 @@ class CellMonitor:
         return self.camera_clock.to_steady(self.object.header.stamp, now)
 
     def unseen_for(self, now: Now) -> float:
-        """Return the time since the object was last seen, s; 0 if the last observation shows it,
-        however old that observation is."""
+        """Return the time since the object was last seen, s; 0 if the last observation shows the
+        object, however old that observation is."""
         seen = self.object
         if seen is not None and seen.visible and not seen.error_code:
             return 0.0

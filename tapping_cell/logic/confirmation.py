@@ -17,9 +17,10 @@ HOLDS_S = 20.0
 """Time for which a confirmation remains valid, s. A tap long after the confirmation could surprise
 the operator."""
 OBJECT_M, OBJECT_RAD = 0.0005, math.radians(0.5)
-"""Maximum displacement of the object since the confirmed plan."""
+"""Maximum displacement of the object from its pose in the confirmed plan."""
 STRIKE_M, STRIKE_RAD = 0.001, math.radians(1.0)
-"""Maximum difference of the strike poses, and of the predicted poses of the object."""
+"""Maximum difference between the strike poses of the confirmed tap and the new tap, and between the
+predicted poses of the object."""
 SPEED_SHARE = 0.05
 """Maximum relative difference of the striker's speeds."""
 

@@ -220,8 +220,8 @@ class GoalHandling:
                 "an object is moving; make sure that nothing moves on the table",
             )
         if isinstance(task, ArrangementTask):
-            # An arrangement task itself observes all objects that have an object file. It only
-            # needs to be given the areas of the objects without an object file.
+            # An arrangement task itself observes all objects that have an object file. Such a task
+            # needs to be given only the areas of the objects without an object file.
             task.avoid(self.other_objects.unknown)
             return None
         names = self.other_objects.unobserved(since)

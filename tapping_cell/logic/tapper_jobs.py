@@ -116,7 +116,7 @@ def fire(
     check: Callable[[float, Now], CodedError | None],
     post_replies: bool,
 ) -> FireEnd:
-    """Fire a charged shot if ``check`` allows it, or discharge it.
+    """Fire a charged shot if ``check`` allows the shot; otherwise discharge the tapper.
 
     ``check`` receives the latest possible end of the release pulse, in s of the steady clock.
     ``post_replies``: whether the board's last reply is sent to the state machine before each check.
@@ -162,7 +162,8 @@ def _confirmed(result: FireResult, reply: Reply) -> tuple[FireOutcome, str]:
 
 
 def wait_for_return(context: JobContext) -> Status:
-    """Wait until the released striker is back at its mount, or the board stops waiting for it."""
+    """Wait until the released striker is back at its mount, or until the board stops waiting for
+    it."""
     driver: MountedTappers = context.driver
     return _make_status(driver, driver.wait_for_return(lambda: not context.abandoned()))
 

@@ -193,7 +193,7 @@ class FixedTrial(Trial):
         command.strike_pose, command.predicted_pose = model.strike_pose, model.predicted_pose
 
     def _publish_conflicting(self, command: TapCommand, conflicting: TapCommand) -> None:
-        """Have two programs command two tappers with the same id."""
+        """Have two programs send commands with the same tap id to two tappers."""
         entries = self.cell.fixed_tappers.tappers
         entry = entries[int(self.rng.integers(len(entries)))]
         conflicting.tapper = entry.name

@@ -95,8 +95,8 @@ _PLAIN = frozenset(("int", "float", "str", "bool", "bytes"))
 
 @dataclass(slots=True)
 class HostClock:
-    """Steady clock and ROS clock of one computer. At t s from the start of the run, its ROS time is
-    ``epoch`` + (1 + ``drift``) t + ``offset``, in s."""
+    """Steady clock and ROS clock of one computer. At t s from the start of the run, the computer's
+    ROS time is ``epoch`` + (1 + ``drift``) t + ``offset``, in s."""
 
     scheduler: Scheduler
     offset: float = 0.0

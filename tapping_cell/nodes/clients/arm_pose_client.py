@@ -1,6 +1,6 @@
 """Client for arm calibration: moves the arm to postures and measures the marker that it holds.
 
-The verb `calibrate arm --record` uses this client, which is not a separate executable.
+The verb `calibrate arm --record` uses this client. There is no separate executable for it.
 """
 
 from __future__ import annotations

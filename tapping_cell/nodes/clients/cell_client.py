@@ -1,7 +1,7 @@
 """Client that monitors and commands a whole cell from a terminal, as the page does in a browser.
 
-The verbs `up`, `status`, `watch`, `home`, `stop`, `clear` and `commission` use this client, which
-is not a separate executable.
+The verbs `up`, `status`, `watch`, `home`, `stop`, `clear` and `commission` use this client. There
+is no separate executable for it.
 """
 
 from __future__ import annotations

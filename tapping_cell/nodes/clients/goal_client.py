@@ -1,7 +1,7 @@
 """Client of a running cell: checks that the cell is ready, sends a goal, reports every tap and the
 result.
 
-The verbs `demo` and `goal` use this client, which is not a separate executable.
+The verbs `demo` and `goal` use this client. There is no separate executable for it.
 """
 
 from __future__ import annotations

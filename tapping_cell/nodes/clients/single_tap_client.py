@@ -1,6 +1,6 @@
 """Client for single-tap experiments: makes prescribed taps and records the data of each tap.
 
-The verb `single-tap` uses this client, which is not a separate executable.
+The verb `single-tap` uses this client. There is no separate executable for it.
 """
 
 from __future__ import annotations
