@@ -312,7 +312,8 @@ class ArmLogic(DeviceLogic[State, Event]):
         return Scene(self._camera, before, predicted, strike)
 
     def _withdraw_again(self, now: Now) -> None:
-        """Move the arm to its park pose, because it hides the object even after the withdrawal."""
+        """Move the arm to its park pose, because the arm hides the object even after the
+        withdrawal."""
         if self.state in (S.LEAVING, S.WITHDRAWING):
             self._to_park = True
             return
@@ -327,7 +328,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         self._run_withdrawal(now)
 
     def _clear_view(self, command: TapCommand, now: Now) -> None:
-        """Move the arm to uncover the area that it hides from the camera now."""
+        """Move the arm to uncover the area that the arm hides from the camera now."""
         self._machine.move(Event.CLEAR_VIEW, S.WITHDRAWING)
         self._last_tap_id = command.tap_id
         self._error = (ErrorCode.NONE, "")

@@ -254,7 +254,8 @@ class CellMonitor:
         return arm is not None and arm.tap_id == tap_id and arm.state == ArmState.IN_POSITION
 
     def out_of_reach(self, tap_id: int) -> CodedError | None:
-        """Return why the arm cannot reach the strike pose of this tap, or None."""
+        """Return why the arm cannot reach the strike pose of this tap, or None if the arm has not
+        reported this error."""
         arm = self.arm
         if arm is None or arm.tap_id != tap_id or arm.error_code != ErrorCode.ARM_OUT_OF_REACH:
             return None

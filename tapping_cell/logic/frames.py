@@ -19,7 +19,8 @@ class Frames(Protocol):
     """Source of the poses of other frames."""
 
     def in_table(self, frame: str, stamp: Time) -> Pose:
-        """Return the pose of a frame in ``table`` at a time; a stamp of zero means the latest.
+        """Return the pose of a frame in ``table`` at the time ``stamp``; a stamp of zero selects
+        the latest pose.
 
         Raises:
             FrameError: the pose is not known.

@@ -23,7 +23,7 @@ UNKNOWN = "unknown object"
 
 @dataclass(slots=True)
 class _Known:
-    """Last observations of one object; times on the steady clock, in s."""
+    """Last observations of one object; times in s of the steady clock."""
 
     observed_at: float = -math.inf
     pose: Pose | None = None
@@ -89,8 +89,8 @@ class OtherObjects:
 
     def searched(self, since: float) -> bool:
         """Return whether the camera has searched for objects without an object file since
-        ``since``, a time on the steady clock in s. Also True if the camera does not search for
-        them."""
+        ``since``, in s of the steady clock. Also return True if the camera does not search for such
+        objects."""
         return self._searched_at > since
 
     def areas(self, now: Now) -> tuple[KeepOut | None, ...]:
@@ -104,8 +104,8 @@ class OtherObjects:
         return any(area is not None and area not in areas for area in self.areas(now))
 
     def unobserved(self, since: float) -> str:
-        """Return the names of the objects that the camera has not observed since ``since``, a time
-        on the steady clock in s; empty if there are none."""
+        """Return the names of the objects that the camera has not observed since ``since``, in s of
+        the steady clock; empty if there are no such objects."""
         return ", ".join(
             f"'{file.name}'"
             for file in self._files

@@ -28,7 +28,7 @@ class PeerClock:
         self._delays: deque[tuple[float, float]] = deque()
 
     def receive(self, stamp: Time, now: Now) -> None:
-        """Process a message's stamp; a stamp of zero means that none was given."""
+        """Process a message's stamp; a stamp of zero means that no stamp was given."""
         if not (stamp.sec or stamp.nanosec):
             return
         delay = now.steady - to_seconds(stamp)

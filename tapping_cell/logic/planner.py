@@ -607,8 +607,8 @@ class PlannerLogic:
         self._enter(Event.OBSERVED, S.PLANNING, now, self._deadline - now.steady)
 
     def _moved_by_tap(self, now: Now) -> bool:
-        """Return whether a fixed tapper has moved the object and the object is at rest again. If
-        so, images show the result of the tap even before the striker has returned."""
+        """Return whether a fixed tapper has moved the object and the object is at rest again. In
+        this case, images show the result of the tap even before the striker has returned."""
         return self._monitor.at_rest_after(self._struck_at, now)
 
     def _wait_for_computation(self, task: Task, now: Now) -> None:
@@ -988,8 +988,9 @@ class PlannerLogic:
         return min(elapsed, self._monitor.unseen_for(now)) > HIDDEN_S
 
     def _move_arm_aside(self, now: Now) -> None:
-        """Move the arm, because it may hide the object: first to its park pose; if the object is
-        still not seen, to a pose that uncovers the area that the arm hides."""
+        """Move the arm, because the arm may hide the object. First move the arm to its park pose.
+        If the object is still not seen, move the arm to a pose that uncovers the area that the arm
+        hides."""
         if self._withdrawn_tap_id not in (0, self._parked_tap_id):
             self._park(now)
             return

@@ -33,7 +33,7 @@ def largest_id(last_tap_id: int, now: Now) -> int:
 def refusal(command: TapCommand, now: Now, last_tap_id: int) -> CodedError | None:
     """Return why a TAP or CLEAR_VIEW must be refused, or None if it is valid.
 
-    ``last_tap_id``: greatest id executed so far. A stamp of zero means that none was given.
+    ``last_tap_id``: greatest id executed so far. A stamp of zero means that no stamp was given.
     """
     if command.request not in (TapCommand.TAP, TapCommand.CLEAR_VIEW):
         return (

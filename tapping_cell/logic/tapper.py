@@ -634,7 +634,7 @@ class TapperLogic(DeviceLogic[State, Event]):
             return
         if fault.reason in OF_THE_TAP and name == "charge" and self.state is S.DISCHARGING:
             # The tap had already been given up, and the board refused to continue charging. For
-            # example, it discharged while this process was suspended.
+            # example, the board discharged while this process was suspended.
             self._run("discharge", tapper_jobs.discharge)
             return
         if self._tap is not None:

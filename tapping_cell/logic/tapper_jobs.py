@@ -28,7 +28,8 @@ class Status:
 
 @dataclass(frozen=True, slots=True)
 class ChargeEnd:
-    """Result of charging: the tapper is charged, or it was discharged because of ``refusal``."""
+    """Result of charging: the tapper is charged, or the tapper was discharged because of
+    ``refusal``."""
 
     status: Status
     charged: bool
@@ -64,7 +65,7 @@ def read(context: JobContext) -> Status:
 
 
 def clear(context: JobContext) -> Status:
-    """Clear a stop or a fault; after a stop the board requires a person at the cell."""
+    """Clear a stop or a fault; after a stop, the board requires a person at the cell."""
     driver: TapperDevice = context.driver
     return _make_status(driver, driver.clear())
 

@@ -1,7 +1,7 @@
 """Checks of the messages of arm, planner and camera before the tapper charges and fires.
 
-A cell with fixed tappers has no arm. There, the boards must instead have verified that the strikers
-are at their mounts."""
+A cell with fixed tappers has no arm. In such a cell, the boards must instead have verified that the
+strikers are at their mounts."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ BLIND = frozenset(
         ErrorCode.STAMP_INVALID,
     }
 )
-"""Error codes that mean that there was no usable image; messages with them do not count as a camera
-heartbeat."""
+"""Error codes that mean that there was no usable image; messages with these codes do not count as a
+camera heartbeat."""
 ABOVE_M, ABOVE_RAD = 0.005, 0.05
 """Maximum horizontal distance and angle from the tip to its strike pose when charging begins."""
 IDLE_LIMIT_S = 1.5
@@ -191,7 +191,8 @@ class TapperPeers:
     def check_charging(
         self, tap_id: int, planned: Pose, strike: Pose, now: Now
     ) -> CodedError | None:
-        """Return why the tapper must not be charged, or None. Arguments as in :meth:`check_firing`.
+        """Return why the tapper must not be charged, or None if charging is allowed. Arguments as
+        in :meth:`check_firing`.
 
         Charging may begin while the arm still lowers the striker. The arm's last read-back must
         then be recent and show the tip above the strike pose, so that only a vertical motion

@@ -57,7 +57,7 @@ class Shot:
     tap_id: int
     object_id: str
     number: int
-    """Number of the tap within its goal, from 1."""
+    """Number of the tap within its goal, starting at 1."""
     strike: Strike
     before: Pose
     covariance: Array

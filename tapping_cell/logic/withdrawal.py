@@ -38,8 +38,8 @@ OVERSHOOT = 1.3
 PLACES = 6
 """Number of places along the object's path that must be visible."""
 MARKERS_HIDDEN = 3
-"""Maximum number of reference markers that the arm may hide. If there are few markers, it may hide
-at most half of them."""
+"""Maximum number of reference markers that the arm may hide. If there are few markers, the arm may
+hide at most half of them."""
 STEPS = np.linspace(-1.0, 1.0, 13)
 """Candidate changes of the shoulder and elbow joints, rad."""
 TURNS = (-1.2, 0.0, 1.2)
