@@ -12,7 +12,7 @@ from tapping_cell.logic.effects import Content
 
 
 class KeptContent:
-    """One JSON file. Its age is the time since its last change or touch."""
+    """One JSON file. The age of the file is the time since its last change or touch."""
 
     def __init__(self, path: Path) -> None:
         self._path = path

@@ -131,8 +131,8 @@ class LogicHost(Generic[Machine]):
         answer: Callable[[Any], None],
         feedback: Callable[[Any], None] | None = None,
     ) -> int:
-        """Pass a request to the state machine, which responds now or later. Return the request's
-        token."""
+        """Pass a request to the state machine; the state machine responds now or later. Return the
+        request's token."""
         token = next(self._tokens)
         self._requests[token] = answer
         if feedback is not None:
@@ -351,7 +351,7 @@ class LogicNode(CellNode[Parameters], Generic[Parameters]):
         self.host.close()
 
     def on_emergency_stop(self, message: Bool) -> None:
-        """Pass a stop message to the state machine, which stops immediately."""
+        """Pass a stop message to the state machine; the state machine stops immediately."""
         self.host.receive(stops.TOPIC, messages.Bool(data=message.data))
 
 

@@ -447,7 +447,7 @@ class CameraPose(CellNode[Parameters]):
 
 def _arrival(info: dict[str, int]) -> float:
     """Return the time (s, system clock) at which the middleware received a message. Return the
-    current time if the middleware does not report it."""
+    current time if the middleware does not report the time of reception."""
     return 1e-9 * info["received_timestamp"] or time.time()
 
 

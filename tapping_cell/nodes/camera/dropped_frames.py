@@ -40,8 +40,8 @@ class Backlog:
         self._answered = now
 
     def stale(self, now: float) -> bool:
-        """Return whether the last image waited so long that a newer queued image should replace
-        it."""
+        """Return whether the last image waited so long that a newer queued image should be
+        processed instead."""
         assert self._arrived is not None
         waited = now - self._arrived
         return waited > LONGEST_WAIT_S or (waited > SHORTEST_WAIT_S and self.overrun)

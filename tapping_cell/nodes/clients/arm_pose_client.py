@@ -98,7 +98,7 @@ class ArmPoseClient(GoalClient):
 
     def go(self, target: Joints, speed: float, check: Callable[[], None]) -> Time:
         """Go to a posture at ``speed`` (rad/s of the fastest joint). Return the time at which the
-        measured joints reached it.
+        measured joints reached the posture.
 
         Raises:
             ArmRefused: the arm does not arrive in time, or reports why it does not move.

@@ -62,8 +62,8 @@ class CellClient(ClientNode):
         return self.in_executor(self._view.mode)
 
     def state(self) -> dict[str, Any]:
-        """Return the state that the page shows. Its entry ``nodes`` contains the rows of the page's
-        list of nodes."""
+        """Return the state that the page shows. The entry ``nodes`` of this state contains the rows
+        of the page's list of nodes."""
 
         def gather() -> dict[str, Any]:
             self._view.simulated = self._watch.runs("sim_world")

@@ -170,7 +170,7 @@ class GoalClient(ActionFollower[Event]):
         self._send_goal(message)
 
     def confirm(self, tap_id: int, confirm: bool, patience: float = 5.0) -> ConfirmTap.Response:
-        """Confirm a tap that waits for confirmation, or skip it.
+        """Confirm or skip a tap that waits for confirmation.
 
         Raises:
             TimeoutError: the planner did not respond.

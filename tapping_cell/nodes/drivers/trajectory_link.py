@@ -98,7 +98,8 @@ class RosTrajectoryLink(RosLink):
         return reached
 
     def brake(self) -> bool:
-        """Make the controller bring the arm to rest and cancel its goal, from any thread.
+        """Make the controller bring the arm to rest, and cancel the controller's goal. May be
+        called from any thread.
 
         A joint_trajectory_controller rejects an empty trajectory on its topic, so the brake command
         is a trajectory with a single point.

@@ -116,8 +116,8 @@ class Arrangements:
         answer({"type": "preset", "goals": rows})
 
     def send(self, request: Arrange, who: str, answer: Answer) -> None:
-        """Send an arrangement to the planner. Send its result to the page when the arrangement has
-        ended."""
+        """Send an arrangement to the planner. Send the arrangement's result to the page when the
+        arrangement has ended."""
         goal = ArrangeObjects.Goal(
             goals=[object_goal(name, pose, request.tolerance) for name, pose in request.goals],
             in_order=request.in_order,

@@ -54,9 +54,9 @@ def send_goal(
     answer: Answer,
     on_response: Callable[[], None] = lambda: None,
 ) -> bool:
-    """Send a goal to the planner. Send its result to the page when the goal has ended. ``what``:
-    name of the goal in messages. ``on_response`` is called when the planner has accepted or
-    rejected the goal. Return False if the planner is not running."""
+    """Send a goal to the planner. Send the goal's result to the page when the goal has ended.
+    ``what``: name of the goal in messages. ``on_response`` is called when the planner has accepted
+    or rejected the goal. Return False if the planner is not running."""
     if not action.server_is_ready():
         answer(answer_to(request, False, "the planner is not running; start tap_planner"))
         return False

@@ -23,7 +23,7 @@ HANDLE_BEYOND = 0.03
 """Distance in m from the farthest point of the outline to the handle that rotates the ghost."""
 ARROW, ARROW_AHEAD = 0.06, 0.012
 """Lengths in m of the two parts of the line that represents the striker: ``ARROW`` behind the
-position of its tip at rest, and ``ARROW_AHEAD`` in front of this position."""
+position of the striker's tip at rest, and ``ARROW_AHEAD`` in front of this position."""
 ELLIPSE_95 = math.sqrt(-2.0 * math.log(0.05))
 """Radius of the ellipse that contains 95 % of a bivariate normal distribution, in standard
 deviations."""
@@ -40,8 +40,8 @@ Array = NDArray[np.float64]
 class Ghost:
     """Mapping between image and table.
 
-    ``outline`` (N, 2) in the object's frame and ``height`` of its top are in m. ``refusal`` returns
-    the planner's message for a goal that it would refuse, or an empty text.
+    ``outline`` (N, 2) in the object's frame and ``height`` of the object's top are in m.
+    ``refusal`` returns the planner's message for a goal that it would refuse, or an empty text.
     """
 
     view: View

@@ -57,7 +57,7 @@ class _Peer:
 class NodeWatch:
     """Monitor the nodes in the namespace of ``node``.
 
-    Create, use and close it in the executor's thread.
+    Create, use and close an instance only in the executor's thread.
     """
 
     def __init__(self, node: Node) -> None:

@@ -11,8 +11,8 @@ TAPPER_HALTED = (TapperState.STOPPED, TapperState.FAULT)
 
 
 class Step(NamedTuple):
-    """One step: a person's action, and the command of the page that performs it, if there is
-    one."""
+    """One step: a person's action and, if the page has a command that performs this action, the
+    command."""
 
     text: str
     state: str

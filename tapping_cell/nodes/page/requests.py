@@ -196,7 +196,7 @@ Content = dict[str, Any]
 
 
 def parse(text: str | bytes) -> Request:
-    """Parse a message. Its values are in mm and degrees, as people type them.
+    """Parse a message. The values in the message are in mm and degrees, as people type them.
 
     Raises:
         BadRequest: the message is invalid, for the stated reason.

@@ -1,11 +1,11 @@
-"""HTTP server of STOP, on its own port, so that no other traffic of the pages can delay it.
+"""HTTP server of STOP, on its own port, so that no other traffic of the pages can delay a stop.
 
 A request is one JSON object in plain text, ``{"do": "stop", "token": ...}`` or ``{"do": "check",
 ...}``, and the response is ``{"held": ...}``. A stop needs no existing connection. When too many
 connections are open, the oldest one is closed to accept the newest, so that no client can occupy
-all of them. Connections that have sent an admitted request belong to pages and are closed last, so
-that a page keeps its connection even during a flood of new connections. Checks and refused requests
-are answered slowly, to limit the request rate of a connection.
+all connections. Connections that have sent an admitted request belong to pages and are closed last,
+so that a page keeps its connection even during a flood of new connections. Checks and refused
+requests are answered slowly, to limit the request rate of a connection.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class StopLevel:
     ) -> None:
         """``publish``: sends the stop state (True: stopped) to the cell. ``report``: sends the stop
         state and the name of the requester to the page's node. ``held``: whether a stop was held
-        before this process started; it is then held again."""
+        before this process started; if so, the stop is held again."""
         self.held = held
         self._publish = publish
         self._report = report

@@ -32,7 +32,7 @@ class MessageReader:
         return self._last if time.monotonic() - self._last_at < UNREADABLE_S else ""
 
     def read(self, topic: str, kind: type, data: bytes) -> Any | None:
-        """Return the message; None if the bytes do not match its definition."""
+        """Return the message; None if the bytes do not match the definition of ``kind``."""
         try:
             return deserialize_message(data, kind)
         except (RuntimeError, MemoryError):

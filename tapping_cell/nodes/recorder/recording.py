@@ -54,10 +54,10 @@ def new_folder(
 ) -> Path:
     """Create a new folder for a run. ``least_free`` is in bytes.
 
-    ``prepared``: if a folder of this name exists and contains no run yet, use it instead of a new
-    one. The verb demo creates such a folder in advance for the nodes' logs. If not ``prepared``, an
-    existing folder belongs to another cell whose run started in the same second, so a number is
-    appended to the name.
+    ``prepared``: if a folder of this name exists and contains no run yet, use this folder instead
+    of a new folder. The verb demo creates such a folder in advance for the nodes' logs. If not
+    ``prepared``, an existing folder belongs to another cell whose run started in the same second,
+    so a number is appended to the name.
 
     Raises:
         CannotRecord: there are too many runs, the free disk space is too small, or the folder
