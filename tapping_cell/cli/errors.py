@@ -62,7 +62,7 @@ def print_refusal(error: Exception) -> int:
 def suggestion(word: str, known: Iterable[str]) -> str:
     """Return the known word that is closest to a misspelt word, as part of a sentence; empty if no
     known word is close."""
-    # All options begin with the same dashes, which would make any two options look similar.
+    # All options begin with the same dashes. The dashes would make any two options look similar.
     bare = {name.lstrip("-"): name for name in known}
     near = difflib.get_close_matches(word.lstrip("-"), bare, 1, 0.6)
     return f"; did you mean '{bare[near[0]]}'?" if near else ""

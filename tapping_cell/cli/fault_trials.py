@@ -365,8 +365,8 @@ class TrialCell:
             self._note(f"the arm's driver reports {reading.joints}, but the arm is at {truth}")
 
     def _record_fire(self, shot: int, energy: float, now: float) -> float:
-        """Check that a release of the striker is safe and the only one of its shot. Return the
-        striker's speed in m/s."""
+        """Check that a release of the striker is safe, and that it is the only release of its shot.
+        Return the striker's speed in m/s."""
         earlier = [s for s, _, _ in self.tapper_device.fires[:-1]]
         if shot in earlier:
             self.tally.double_fires += 1

@@ -118,8 +118,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Locate the object in every image. Return 0 if it was found in an image, 1 if in none, 2 for
-    invalid files."""
+    """Locate the object in every image. Return 0 if an object was found in at least one image, 1 if
+    no object was found in any image, 2 for invalid files."""
     try:
         camera = load_camera_model(arguments.camera or shared_folder() / "camera_info.yaml")
         table = load_reference_map(arguments.table or shared_folder() / "table.yaml")

@@ -187,7 +187,7 @@ def wait_for_record(
     """Return the folder of the last run once the recorder has written it.
 
     Raises:
-        NotRecorded: the recorder did not report it within ``patience`` seconds.
+        NotRecorded: the recorder did not report the run within ``patience`` seconds.
     """
     deadline = time.monotonic() + patience
     with console.status("writing the run folder"):

@@ -29,8 +29,8 @@ def check_simulation_files(arguments: argparse.Namespace) -> None:
 def refuse_unused(arguments: argparse.Namespace, needs: str, *names: str) -> None:
     """Refuse options that would have no effect.
 
-    ``names``: the options, as attributes of ``arguments``. ``needs``: the condition under
-    which they have an effect, such as "only with --table".
+    ``names``: the options, as attributes of ``arguments``. ``needs``: the condition under which the
+    options have an effect, such as "only with --table".
 
     Raises:
         ConfigurationError: one of the options was given.

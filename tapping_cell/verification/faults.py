@@ -297,8 +297,8 @@ def _foreign_command(rng: np.random.Generator, trial: FaultTarget) -> Made:
 
 
 def _foreign_outcome(rng: np.random.Generator, trial: FaultTarget) -> Made:
-    """Another node claims that the shot is over: it forges a tapper state or ends the arm's
-    promise."""
+    """Another node falsely reports that the shot is over: this node forges a tapper state or ends
+    the arm's promise to stand still."""
     fired, by_service = bool(rng.random() < 0.5), bool(rng.random() < 0.5)
 
     def strike(t: FaultTarget) -> None:
@@ -813,4 +813,4 @@ AT_A_SHOT = (
     *("foreign trajectory", "foreign hold", "foreign flood", "second arm") * 2,
 )
 """Kinds of faults around a shot. Some kinds are listed several times, so that they are drawn more
-often: they make two nodes observe different states."""
+often, because these kinds make two nodes observe different states."""

@@ -113,7 +113,7 @@ class HostClock:
 
 @dataclass(slots=True)
 class Disk:
-    """Data that a process has stored on disk and that remain when it ends."""
+    """Data that a process has stored on disk and that remain when the process ends."""
 
     goal: Content | None = None
     goal_touched: float = -math.inf
@@ -125,8 +125,8 @@ class Disk:
 class Program:
     """Program of a process: a state machine, optionally with a driver on serial lines.
 
-    ``connect(driver, patience, now)`` configures the node. ``topics`` are the topics that it
-    subscribes to, ``services`` the services that it offers.
+    ``connect(driver, patience, now)`` configures the node. ``topics`` are the topics that the
+    program subscribes to, ``services`` the services that the program offers.
     """
 
     make: Callable[[], tuple[Logic, Any]]

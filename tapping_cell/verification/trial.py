@@ -461,8 +461,8 @@ class Trial:
         return Pose(float(x), float(y), float(rng.uniform(-0.6, 0.6)))
 
     def next_goal(self, number: int) -> Pose:
-        """Choose the next goal at random. In 80 % of the cases it is near the object, as in the
-        paper's task."""
+        """Choose the next goal at random. In 80 % of the cases, the goal is near the object, as in
+        the paper's task."""
         rng = self.rng
         true = self.physical.object_pose(self.scheduler.now)
         goal = self.draw_goal(rng)
@@ -510,8 +510,8 @@ class Trial:
         last = max((fault.time for fault in faults if fault.moment is None), default=0.0)
         self.scheduler.run(max(self.scheduler.now, began + last) + 0.5)
         result = self._result
-        # A fault of the previous goal may last into this one. An inactive planner refuses goals at
-        # once, so several goals may end before it is active again.
+        # A fault of the previous goal may still have an effect during this goal. An inactive
+        # planner refuses goals at once, so several goals may end before it is active again.
         quiet = not (faults or self._struck_before)
         self._struck_before = bool(faults)
         quiet = quiet and active and began > self._disturbed_until
