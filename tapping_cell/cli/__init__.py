@@ -100,8 +100,8 @@ def _not_set_up(why: str) -> int:
 
 
 def _parser_of(argv: list[str]) -> tuple[argparse.ArgumentParser, Execute]:
-    """Return the parser and the run function of the verb, which is the first argument. If there is
-    no such verb, print an error and exit."""
+    """Return the parser and the run function of the verb. The verb is the first argument in
+    ``argv``. If there is no such verb, print an error and exit."""
     from tapping_cell.cli.errors import Parser, suggestion
 
     verb = argv[0] if argv else ""
@@ -147,7 +147,8 @@ def verb_parser(verb: str) -> tuple[argparse.ArgumentParser, Execute]:
 
 
 def complete(line: str) -> None:
-    """Print the shell completions of ``line``. Only the module of its verb is imported."""
+    """Print the shell completions of ``line``. Only the module of the verb in ``line`` is
+    imported."""
     import argcomplete
 
     parser = argparse.ArgumentParser(prog="cell")

@@ -119,8 +119,8 @@ def wait_for(
             conditions.
     """
     session.wait_for(lambda: client.missing(names), patience, check, console)
-    # Wait until the planner has discovered this client too: before that, its response to a
-    # request would be lost.
+    # Wait until the planner has discovered this client too: before that, the planner's response to
+    # a request would be lost.
     time.sleep(session.MUTUAL_DISCOVERY_S)
 
 

@@ -13,8 +13,8 @@ from tapping_cell.calibration.keep import Output, refuse_existing
 def add_output_arguments(
     parser: argparse.ArgumentParser, default: str | None = None, required: bool = True
 ) -> None:
-    """Declare --json, --output, --force and --accept-worse. If --output is left out, its value is
-    ``default``; without a default, --output must be given if ``required``."""
+    """Declare --json, --output, --force and --accept-worse. If --output is left out, ``default`` is
+    used. If there is no default and ``required`` is True, --output must be given."""
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.add_argument(
         "--output",
@@ -51,8 +51,8 @@ def output_of(
 def add_recording_arguments(
     parser: argparse.ArgumentParser, number: str, default: int, text: str
 ) -> None:
-    """Declare --record, --resume, --namespace and the option ``number``, with the help text
-    ``text``, for the number of measurements."""
+    """Declare --record, --resume and --namespace. Also declare the option ``number`` for the number
+    of measurements, with the help text ``text``."""
     parser.add_argument(
         "--record",
         action="store_true",

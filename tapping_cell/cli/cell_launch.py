@@ -193,6 +193,6 @@ def _has_state_publisher() -> bool:
 
 
 def _own_frames(namespace: str) -> list[tuple[str, str]]:
-    """Return remappings of /tf and /tf_static into the namespace. They are needed because all cells
-    use the same frame names."""
+    """Return remappings of /tf and /tf_static into the namespace. The remappings are needed because
+    all cells use the same frame names."""
     return [("/tf", "tf"), ("/tf_static", "tf_static")] if namespace else []

@@ -29,7 +29,7 @@ def headline(state: dict[str, Any]) -> str:
 
 
 def recovery(state: dict[str, Any]) -> list[str]:
-    """Return numbered recovery steps after a stop, a fault or a start; empty if none are
+    """Return numbered recovery steps after a stop, a fault or a start; empty if no steps are
     required."""
     verbs = {
         "clear": " (python -m tapping_cell clear)",

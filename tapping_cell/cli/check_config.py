@@ -82,7 +82,7 @@ def run(arguments: argparse.Namespace) -> int:
     found: list[Findings] = []
     for path in arguments.files:
         found += check(path, arguments.kind)
-    # A file that is named by several cells is reported once.
+    # A file that is named by several cells is reported only once.
     findings = list({entry.file.resolve(): entry for entry in reversed(found)}.values())[::-1]
     if arguments.drawing is not None:
         findings += _draw(arguments.files, arguments.drawing)

@@ -2,9 +2,9 @@
 safely.
 
 A simulated cell runs as processes, and a goal is sent. At a chosen phase of a tap, one node
-receives ``SIGKILL`` and is restarted. A trial checks the true final pose of the object. It also
-checks that the object moved only while the arm held the striker in position, and at most once for
-each commanded tap.
+receives ``SIGKILL`` and is restarted. A trial checks the true final pose of the object. A trial
+also checks that the object moved only while the arm held the striker in position, and at most once
+for each commanded tap.
 """
 
 from __future__ import annotations
@@ -46,8 +46,8 @@ RELEASE_AFTER_SILENCE_S = 0.65
 striker. It is the sum of the tapper's ``silence_limit`` (0.45 s), the transmission time of a
 message and the firing window."""
 STROKE_FACTOR = 1.1
-"""Maximum time of flight of the striker, relative to the time that it would need for the stroke at
-the commanded speed."""
+"""Maximum ratio of the striker's time of flight to the time that the striker would need for the
+stroke at the commanded speed."""
 TIMEOUT_S = 240.0
 PHASE_S = 120.0
 """Maximum wait for a phase of a tap."""
@@ -71,8 +71,8 @@ class Crash:
 
     @property
     def clean(self) -> bool:
-        """Whether the trial was safe and the goal was reached. After a restart of ``sim_world``,
-        which resets the boards, it is sufficient that the cell requests an operator."""
+        """Whether the trial was safe and the goal was reached. If ``sim_world`` was restarted, the
+        boards were reset. The trial then also counts as clean if the cell requests an operator."""
         asked = self.ended == "needed an operator" and self.node == WORLD
         return not self.unsafe and (self.ended == "reached" or asked)
 
@@ -113,7 +113,7 @@ class Observed:
                 self.unsafe.append(f"tap {message.tap_id}: {before} and {message.outcome}")
 
     def on_truth(self, message: PoseStamped) -> None:
-        """Process the true pose of the object, which arrives thirty times per second."""
+        """Process the true pose of the object. A true pose arrives thirty times per second."""
         pose = from_message(message.pose)
         if self.lain is None or not self.watching:
             self.lain = pose
@@ -130,8 +130,8 @@ class Observed:
         """Add each strike that was unsafe to the unsafe events.
 
         A strike is unsafe if the arm's last report that it was in position is too old, or if a node
-        had been frozen for too long. The stamps are compared at the end of a trial, because
-        messages of different topics can arrive in any order.
+        had been stopped by ``freeze`` for too long. The stamps are compared at the end of a trial,
+        because messages of different topics can arrive in any order.
         """
         for at in self.struck:
             silent = at - max((stamp for stamp in self.settled if stamp <= at), default=-math.inf)
@@ -179,7 +179,8 @@ class CrashCell:
             "scara_arm": {"port": arm, "home_on_activate": True},
             "tapper_trigger": {"port": tapper},
         }
-        # With its own HOME, the planner does not use the stored goal of another cell.
+        # The nodes have their own HOME, so that the planner does not use the stored goal of another
+        # cell.
         self.graph = Graph(SIMULATED, parameters, folder / "logs", {"HOME": str(folder)})
         self.client = GoalClient("crash_trials")
         self.seen = Observed()
@@ -284,7 +285,8 @@ class CrashCell:
         return Crash(node, phase, "reached", seconds, "", tuple(seen.unsafe))
 
     def ended(self) -> PlanState | None:
-        """Return the planner's message that the goal has ended, or None if it has not ended."""
+        """Return the planner's message that the goal has ended, or None if the goal has not
+        ended."""
         ends = (PlanState.REACHED, PlanState.FAILED)
         return next((p for p in tuple(self.seen.plans) if p.state in ends), None)
 
@@ -320,8 +322,8 @@ class CrashCell:
         future = self._reset.call_async(ResetWorld.Request(object_pose=to_message(START)))
         if not self.wait(future.done, 60.0):
             raise TimeoutError("sim_world does not answer reset_world")
-        # Also wait for the true pose, which may arrive later than the camera's message: the reset
-        # must not count as a strike.
+        # Also wait for the true pose, because the reset must not count as a strike. The true pose
+        # may arrive later than the camera's message.
         self.wait(
             lambda: (
                 self.client.object_state is not None
@@ -351,7 +353,7 @@ class CrashCell:
         self.wait(self._services[service].call_async(Trigger.Request()).done, 5.0)
 
     def wait(self, condition: Callable[[], bool], patience: float, poll: float = 0.02) -> bool:
-        """Wait for a condition. Return False if it is not met within ``patience`` s."""
+        """Wait for a condition. Return False if the condition is not met within ``patience`` s."""
         deadline = time.monotonic() + patience
         while not condition():
             if time.monotonic() > deadline:

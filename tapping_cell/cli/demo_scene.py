@@ -24,8 +24,8 @@ from tapping_cell.se2 import Pose
 FIRST_MARKER = 20
 """Marker id of the first generated object. The supplied table and objects use other ids."""
 DISKS_M, SQUARES_M = (0.030, 0.026), (0.024, 0.028)
-"""Radii of the disks, and half side lengths of the squares, in m. Successive disks, and successive
-squares, take these sizes in turn."""
+"""Radii of the disks, and half side lengths of the squares, m. The generated disks use these radii
+in turn; the generated squares use these half side lengths in turn."""
 DENSITY = 2700 * 0.012
 """Mass per area of 12 mm of aluminium, kg/m^2, as in the supplied objects."""
 GAP_M = 0.04

@@ -146,7 +146,7 @@ class _NoMemory:
     """Shot memory that stores nothing, because nothing is fired."""
 
     def recall(self) -> int:
-        """Return 0, which means that no shot has been sent."""
+        """Return 0: no shot has been sent."""
         return 0
 
     def keep(self, shot: int) -> None:
@@ -242,7 +242,7 @@ def _store(
     connection: Connection,
 ) -> bool:
     """Store settings in the controller, if they are safe to store and the user confirms them.
-    Return whether any was stored."""
+    Return whether any setting was stored."""
     wanted = [f for f in findings if not f.met and f.storable and confirm(f)]
     for finding in wanted:
         dialect.store(finding, connection.now() + TIMEOUT)

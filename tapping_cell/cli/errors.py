@@ -42,7 +42,7 @@ MEANINGS = {
 
 
 def print_error(sentence: str, code: int = 0) -> None:
-    """Print an error, and the remedy for its code if there is one."""
+    """Print an error and, if the code has a remedy, this remedy."""
     console = Console(stderr=True, soft_wrap=True, highlight=False)
     number = f" ({code})" if code and not sentence.endswith(f"({code})") else ""
     console.print(Text.assemble(("error: ", "red"), f"{sentence}{number}"))
@@ -60,9 +60,9 @@ def print_refusal(error: Exception) -> int:
 
 
 def suggestion(word: str, known: Iterable[str]) -> str:
-    """Return the known word closest to a misspelt one, as part of a sentence; empty if none is
-    close."""
-    # All options begin with the same dashes, which would make any two options look similar.
+    """Return the known word that is closest to a misspelt word, as part of a sentence; empty if no
+    known word is close."""
+    # All options begin with the same dashes. The dashes would make any two options look similar.
     bare = {name.lstrip("-"): name for name in known}
     near = difflib.get_close_matches(word.lstrip("-"), bare, 1, 0.6)
     return f"; did you mean '{bare[near[0]]}'?" if near else ""

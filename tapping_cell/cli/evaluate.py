@@ -629,7 +629,7 @@ def _measure_point(arguments: argparse.Namespace, point: sweep.Point) -> dict[st
     """Evaluate one point of a sweep in a separate process."""
     chosen = sweep.arguments_at(arguments, point)
     # Use one process, because the points are evaluated in parallel. The option json suppresses the
-    # progress bar of the point, because the whole sweep has one.
+    # progress bar of the point, because the sweep shows a progress bar of its own.
     chosen.processes, chosen.json = 1, True
     return measure(chosen, make_evaluation(chosen, chosen.planner))
 
@@ -692,8 +692,8 @@ def _arrange(arguments: argparse.Namespace) -> int:
 
 
 def arrangement_kinds(arguments: argparse.Namespace) -> list[arrangements.Kind]:
-    """Return one ``Kind``, which contains a free space and a planner, for each shape of object.
-    Table and arm are those of the cell, and the friction is that of the object file."""
+    """Return one ``Kind`` for each shape of object. It contains a free space and a planner. Table
+    and arm are those of the cell, and the friction is that of the object file."""
     cell = load_cell(arguments.cell, arguments.object)
     wanted = _settings(arguments)
     kinds = []

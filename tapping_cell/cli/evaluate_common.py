@@ -74,7 +74,7 @@ def inputs_of(arguments: argparse.Namespace, *left_out: str) -> dict[str, Any]:
 def progress(
     arguments: argparse.Namespace, name: str, total: int
 ) -> Iterator[Callable[[int], None]]:
-    """Show a progress bar on stderr if it is a terminal. Yield a function that advances the bar."""
+    """Show a progress bar if stderr is a terminal. Yield a function that advances the bar."""
     if arguments.json or not sys.stderr.isatty():
         # Even a disabled progress bar would print an empty line at its end.
         yield lambda count: None

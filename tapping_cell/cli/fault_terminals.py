@@ -1,4 +1,4 @@
-"""Fault trials over pseudo-terminals in real time, which also test the transport."""
+"""Fault trials over pseudo-terminals in real time; these trials also test the transport."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from tapping_cell.simulation.virtual_line import HangError
 
 
 class RealClock:
-    """Monotonic clock with an alarm signal, which ends a call that still runs at the time
+    """Monotonic clock with an alarm signal. The signal ends a call that still runs at the time
     ``limit``."""
 
     def __init__(self) -> None:
@@ -45,7 +45,7 @@ def _on_alarm(number: int, frame: FrameType | None) -> None:
 
 
 class TerminalCell(TrialCell):
-    """Two emulated devices on pseudo-terminals that the fault layer can disconnect."""
+    """Two emulated devices on pseudo-terminals. The fault layer can disconnect the terminals."""
 
     def __init__(self, dialect: Dialect, seed: int, folder: Path) -> None:
         self._folder = folder

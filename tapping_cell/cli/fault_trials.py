@@ -1,5 +1,5 @@
-"""Taps made by the real drivers with emulated devices over faulty serial lines, checked against the
-devices' true states.
+"""Taps that the real drivers make with emulated devices over faulty serial lines. The drivers'
+results are checked against the devices' true states.
 
 A tap consists of the jobs of the drivers' state machines (``logic.arm_jobs``,
 ``logic.tapper_jobs``): place the striker, charge, check again that the arm is in position, fire
@@ -365,8 +365,8 @@ class TrialCell:
             self._note(f"the arm's driver reports {reading.joints}, but the arm is at {truth}")
 
     def _record_fire(self, shot: int, energy: float, now: float) -> float:
-        """Check that a release of the striker is safe and the only one of its shot. Return the
-        striker's speed in m/s."""
+        """Check that a release of the striker is safe, and that it is the only release of its shot.
+        Return the striker's speed in m/s."""
         earlier = [s for s, _, _ in self.tapper_device.fires[:-1]]
         if shot in earlier:
             self.tally.double_fires += 1
@@ -392,7 +392,7 @@ class TrialCell:
         setattr(self.tally, outcome.value, getattr(self.tally, outcome.value) + 1)
 
     def check_reports(self) -> None:
-        """Compare every report with the tapper's actual shots, including those fired after the
+        """Compare every report with the tapper's actual shots, including shots fired after the
         report."""
         fired = {shot for shot, _, _ in self.tapper_device.fires}
         for shot, outcome in self.reported.items():

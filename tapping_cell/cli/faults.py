@@ -302,7 +302,7 @@ def _soak(dialects: list[Dialect], arguments: argparse.Namespace) -> int:
 
 
 def _crashes(arguments: argparse.Namespace) -> int:
-    """Run the crash trials, which need ROS, unlike the other runs."""
+    """Run the crash trials. Unlike the other runs, they need ROS."""
     from tapping_cell.cli import crash_trials
 
     nodes, phases = arguments.node or SIMULATED, arguments.phase or crash_trials.PHASES

@@ -96,8 +96,8 @@ def run_mutants(goals: int, seed: int, jobs: int, names: Sequence[str], as_json:
 
 def hunt(mutant: Mutant, goals: int, seed: int, jobs: int) -> dict[str, object]:
     """Simulate goals with an active mutant, in ``jobs`` processes at a time, until an invariant is
-    violated. Return the mutant's name, the review finding that it reverts, the number of goals, and
-    the violated invariant (empty if the mutant was not detected).
+    violated. Return the mutant's name, the review finding whose correction the mutant removes, the
+    number of goals, and the violated invariant (empty if the mutant was not detected).
     """
     done, caught_by = 0, ""
     while done < goals and not caught_by:

@@ -40,8 +40,8 @@ LAST_DOMAIN = 232
 """Highest ROS domain for which the middleware has valid port numbers."""
 
 MAX_PARTICIPANTS = 20
-"""Number of participant ports that are checked in a domain. It is larger than the number of
-participants of a cell, which is 8."""
+"""Number of participant ports that are checked in a domain. This number exceeds the number of
+participants of a cell (8)."""
 OWN_DOMAINS = range(1, 102)
 """Domains whose ports do not overlap the ephemeral ports of Linux. Domain 0 is excluded, because it
 is the default domain of all ROS programs."""
@@ -126,13 +126,13 @@ class Graph:
         namespace: str = "",
         parameter_file: Path | None = None,
     ) -> None:
-        """``parameters`` of a node override those of ``parameter_file``, which apply to all
-        nodes."""
+        """``parameters``: parameters of each node. They override the parameters in
+        ``parameter_file``. Every node receives ``parameter_file``."""
         self._nodes = tuple(nodes)
         self._parameters = parameters
         self._log_folder = log_folder
-        # The nodes' matrices are small, so additional threads of the linear algebra library only
-        # slow them down.
+        # The nodes' matrices are small, so additional threads of the linear algebra library would
+        # only slow the nodes down.
         one_thread = {"OPENBLAS_NUM_THREADS": "1"}
         self._environment = {**one_thread, **os.environ, **(environment or {})}
         self._namespace = namespace
@@ -168,7 +168,7 @@ class Graph:
             command += ["--enclave", security.enclave_of(name)]
         if self._namespace:
             command += ["-r", f"__ns:=/{self._namespace.strip('/')}"]
-            # Two cells use the same frame names, so each has its own tf topics.
+            # Two cells use the same frame names, so each cell has its own tf topics.
             command += ["-r", "/tf:=tf", "-r", "/tf_static:=tf_static"]
         if self._parameter_file is not None:
             command += ["--params-file", str(self._parameter_file)]
@@ -264,8 +264,8 @@ def _die_with_parent() -> None:
 
 
 def parameter_text(value: object) -> str:
-    """Format a parameter value for ROS's command line, which parses it as YAML. Strings are quoted,
-    so that a folder named ``101`` or ``no`` remains a string."""
+    """Format a parameter value for ROS's command line. ROS parses the value as YAML. Strings are
+    quoted, so that a folder named ``101`` or ``no`` remains a string."""
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, (str, Path)):
@@ -288,7 +288,7 @@ def with_own_ports(
 
 
 def domain_number(environment: Mapping[str, str] = os.environ) -> int:
-    """Return the ROS domain that an environment selects; 0 if it selects none.
+    """Return the ROS domain that an environment selects; 0 if it does not select a domain.
 
     Raises:
         GraphError: ROS_DOMAIN_ID is not a domain.

@@ -55,8 +55,8 @@ Moves = tuple[Move, Move]
 MAX_GOALS = 9
 MIN_TAPS = 15
 FRICTION_KNOWN, FACTOR_KNOWN = 0.02, 0.1
-"""Sufficient relative standard deviations of friction and torque factor. They are well below the
-scatter of a tap, so that more accurate values would hardly improve the next goals."""
+"""Sufficient relative standard deviations of friction and torque factor. These deviations are well
+below the scatter of a tap, so more accurate values would hardly improve the next goals."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -92,8 +92,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the verb. Return 0 on success, 1 if the goals failed, 2 for unusable runs or files."""
-    # Imported here, because the modules of the fit import much of SciPy, which takes a second and
-    # would delay the help text.
+    # Imported here, because the modules of the fit import much of SciPy. This import takes a second
+    # and would delay the help text.
     from tapping_cell.calibration.learnt_object import learn_object, learning_record
     from tapping_cell.calibration.object_file import object_yaml
 

@@ -118,8 +118,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Locate the object in every image. Return 0 if it was found in an image, 1 if in none, 2 for
-    invalid files."""
+    """Locate the object in every image. Return 0 if an object was found in at least one image, 1 if
+    no object was found in any image, 2 for invalid files."""
     try:
         camera = load_camera_model(arguments.camera or shared_folder() / "camera_info.yaml")
         table = load_reference_map(arguments.table or shared_folder() / "table.yaml")
@@ -163,7 +163,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 class Search:
-    """One tracker for each object. Each tracker knows the markers of the other objects."""
+    """One tracker for each object. Each tracker is given the marker ids of all objects."""
 
     def __init__(
         self,
@@ -203,7 +203,7 @@ def read_photograph(path: Path, size: tuple[int, int]) -> NDArray[np.uint8] | st
         image = image if turned is None or turned.shape != size[::-1] else turned
     if image.dtype == np.uint16:
         # Convert to 8 bits. A camera with 10, 12 or 14 bits leaves the upper bits zero, so the
-        # number of bits is that of the largest value, rounded up to an even number.
+        # number of bits is that of the image's largest value, rounded up to an even number.
         bits = max(8, int(image.max()).bit_length())
         return np.asarray(image // 2 ** (bits + bits % 2 - 8), dtype=np.uint8)
     if image.dtype != np.uint8:

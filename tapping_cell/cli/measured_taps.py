@@ -12,11 +12,11 @@ from tapping_cell.report.run_folder import read_run
 
 
 def measured_taps(folder: Path, object_name: str) -> list[TapRow]:
-    """Return the fired taps of a run whose result was measured.
+    """Return every tap of a run that was fired and has a measured result.
 
     Raises:
-        RecordError: the run was made with another object. tapping_cell.report.run_folder.RunError:
-        the folder is damaged.
+        RecordError: the run was made with another object.
+        tapping_cell.report.run_folder.RunError: the folder is damaged.
     """
     run = read_run(folder)
     if run.object_name and run.object_name != object_name:

@@ -108,8 +108,8 @@ def wait_for_planner(client: GoalClient, patience: float, console: Console) -> N
     deadline = time.monotonic() + patience
     found = math.inf
     with console.status("waiting for the planner"):
-        # Wait until the planner has discovered this client too: before that, its response to a
-        # request would be lost.
+        # Wait until the planner has discovered this client too: before that, the planner's response
+        # to a request would be lost.
         while time.monotonic() < found + MUTUAL_DISCOVERY_S:
             there = client.planner_active and client.accepts_goals()
             found = min(found, time.monotonic()) if there else math.inf
@@ -187,7 +187,7 @@ def wait_for_record(
     """Return the folder of the last run once the recorder has written it.
 
     Raises:
-        NotRecorded: the recorder did not report it within ``patience`` seconds.
+        NotRecorded: the recorder did not report the run within ``patience`` seconds.
     """
     deadline = time.monotonic() + patience
     with console.status("writing the run folder"):

@@ -29,8 +29,8 @@ def check_simulation_files(arguments: argparse.Namespace) -> None:
 def refuse_unused(arguments: argparse.Namespace, needs: str, *names: str) -> None:
     """Refuse options that would have no effect.
 
-    ``names``: the options, as attributes of ``arguments``. ``needs``: the condition under
-    which they have an effect, such as "only with --table".
+    ``names``: the options, as attributes of ``arguments``. ``needs``: the condition under which the
+    options have an effect, such as "only with --table".
 
     Raises:
         ConfigurationError: one of the options was given.
@@ -45,7 +45,8 @@ def refuse_unused(arguments: argparse.Namespace, needs: str, *names: str) -> Non
 def require_folder(folder: Path | None, option: str) -> None:
     """Check that a folder exists or can be created, without creating it.
 
-    Raises: ConfigurationError: the path is a file, or the user may not write there.
+    Raises:
+        ConfigurationError: the path is a file, or the user may not write there.
     """
     if folder is None:
         return

@@ -38,7 +38,7 @@ STYLES = {
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """State of one node, with the condition that it waits for or its error."""
+    """State of one node, with its error or the condition for which it waits."""
 
     node: str
     word: str

@@ -13,7 +13,7 @@ WINDOW_S = 120.0
 DELAY_S = 1.0
 """Delay in s between the end of a node and its restart."""
 ASIDE = (RECORDER, "operator_page")
-"""Nodes that the cell does not need for positioning. If one of them ends, the other nodes
+"""Nodes that the cell does not need for positioning. If one of these nodes ends, all other nodes
 continue."""
 
 

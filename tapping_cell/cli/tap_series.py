@@ -36,7 +36,7 @@ class Done:
 
 @dataclass(slots=True)
 class TapSeries:
-    """One session of an experiment, which makes the missing trials of the design."""
+    """One session of an experiment; makes the missing trials of the design."""
 
     client: SingleTapClient
     folder: Path

@@ -158,7 +158,7 @@ def run(arguments: argparse.Namespace) -> int:
         # The simulated arm homes automatically, because it cannot hurt anyone.
         parameters.get("scara_arm", {})["home_on_activate"] = True
     if not arguments.hardware and not has_simulated_ports(cell):
-        # The cell file of real hardware names real ports, which the simulated devices must not use.
+        # The cell file of real hardware names real ports. The simulated devices must not use them.
         parameters = with_own_ports(parameters)
     graph = Graph(
         nodes,
@@ -276,8 +276,8 @@ def require_devices(cell: Cell, arguments: argparse.Namespace) -> None:
     missing = []
     arm = () if cell.file.arm is None else (("arm", cell.file.arm.port),)
     for name, port in (*arm, *(("tapper", board.port) for board in cell.boards)):
-        # If the parameter file names a port, the node may not use the port of the cell file, so
-        # this port is not checked.
+        # If the parameter file names a port, the node possibly does not use the port in the cell
+        # file, so the port in the cell file is not checked.
         if (
             port
             and "port:" not in given

@@ -1,9 +1,9 @@
-"""State machine of the arm: it homes the arm before any motion, and keeps it still while a shot may
-be fired.
+"""State machine of the arm: homes the arm before any motion, and keeps the arm still while a shot
+may be fired.
 
-The arm reports that it is in position only after it has read back its joints. The tapper calls
-``hold_still`` before it fires. By granting this request, the arm promises to begin no motion for
-the requested time. docs/safety.md shows why no shot is then fired while the arm moves.
+The machine does not report that the arm is in position until the joints have been read back. The
+tapper calls ``hold_still`` before it fires. By granting this request, the arm promises to begin no
+motion for the requested time. docs/safety.md shows why no shot is then fired while the arm moves.
 """
 
 from __future__ import annotations
@@ -58,13 +58,13 @@ from tapping_cell.se2 import Pose
 READ_PERIOD_S = 0.05
 """Period of the read-back while the arm stands: a strike pose is confirmed 20 times a second."""
 FRESH_READING_S = 0.25
-"""Maximum age of the last read-back at which the arm still promises to stand still, s."""
+"""Maximum age of the last read-back, s; if it is older, the arm does not promise to stand still."""
 SHORT_REST_S = 0.05
-"""The arm begins to prepare its next move this long before the end of its promise to stand still,
-s."""
+"""Time, s, before the end of the promise to stand still at which the arm begins to prepare its next
+move."""
 DISCHARGED_S = 0.7
-"""Time within which the board discharges automatically after the last report of a charged striker:
-0.5 s without a request, plus the return of the drive."""
+"""Maximum time from the last report of a charged striker until the board has discharged it
+automatically: the board waits for 0.5 s without a request, then its drive returns."""
 LONGEST_WAIT_S = 3.0
 """Maximum time for which the arm waits after the end of a tap until the striker is discharged,
 s."""
@@ -83,7 +83,7 @@ class State(Enum):
     PLACING = "Placing"
     IN_POSITION = "InPosition"
     LEAVING = "Leaving"
-    """The tap is over. The arm waits until its job has ended and it need not stand still any
+    """The tap is over. The arm waits until its job has ended and the arm need not stand still any
     longer."""
     WITHDRAWING = "Withdrawing"
     FOLLOWING = "Following"
@@ -179,7 +179,7 @@ class ArmOptions:
 
     home_on_activate: bool = False
     state_rate: float = 20.0
-    """Hz."""
+    """Rate at which ``arm_state`` is published, Hz."""
     set_up: bool = False
     """Set-up mode: the arm moves slowly, and only while an enabling device is held."""
     withdraw_until_seen: bool = True
@@ -312,7 +312,8 @@ class ArmLogic(DeviceLogic[State, Event]):
         return Scene(self._camera, before, predicted, strike)
 
     def _withdraw_again(self, now: Now) -> None:
-        """Move the arm to its park pose, because it hides the object even after the withdrawal."""
+        """Move the arm to its park pose, because the arm hides the object even after the
+        withdrawal."""
         if self.state in (S.LEAVING, S.WITHDRAWING):
             self._to_park = True
             return
@@ -327,7 +328,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         self._run_withdrawal(now)
 
     def _clear_view(self, command: TapCommand, now: Now) -> None:
-        """Move the arm to uncover the area that it hides from the camera now."""
+        """Move the arm to uncover the area that the arm hides from the camera now."""
         self._machine.move(Event.CLEAR_VIEW, S.WITHDRAWING)
         self._last_tap_id = command.tap_id
         self._error = (ErrorCode.NONE, "")
@@ -465,7 +466,8 @@ class ArmLogic(DeviceLogic[State, Event]):
         return HoldStill.Response(granted=True, duration=request.duration)
 
     def _unsteady(self, request: HoldStill.Request, now: Now) -> CodedError | None:
-        """Return why the arm refuses to promise to stand still, or None if it does not refuse."""
+        """Return why the arm refuses to promise to stand still, or None if the arm does not
+        refuse."""
         if not 0 < request.duration <= self._longest_hold:
             return (
                 ErrorCode.COMMAND_INVALID,
@@ -497,9 +499,10 @@ class ArmLogic(DeviceLogic[State, Event]):
 
     def _is_of_tapper(self, key: int) -> bool:
         """Return whether a request with this key comes from the tapper, and not from another
-        client, for example one that makes the first request for a tap while the tapper is frozen.
+        client. Another client could, for example, make the first request for a tap while the
+        tapper's process is suspended.
 
-        If several tappers have reported a key for the present tap, this is not known.
+        Return False if several tappers have reported a key for the present tap.
         """
         return key > 0 and self._key_digests == {permit.key_digest(key)}
 
@@ -509,8 +512,9 @@ class ArmLogic(DeviceLogic[State, Event]):
             self._key_digests.add(message.key_digest)
         released = message.tap_id == self._released_tap and len(self._key_digests) == 1
         if ours and not released and message.state in CHARGED:
-            # Reports that the striker is charged only make the arm wait longer, so they are used.
-            # Reports that it is not charged are not, because any program could publish them.
+            # Reports that the striker is charged can only make the arm wait longer, so they are
+            # used. Reports that the striker is not charged are ignored, because any program could
+            # publish them.
             self._charged_until = now.steady + DISCHARGED_S
         over = message.outcome in (TapperState.FIRED, TapperState.NOT_FIRED)
         if (
@@ -529,9 +533,9 @@ class ArmLogic(DeviceLogic[State, Event]):
         self._leave_when_free(now)
 
     def _free_at(self, now: Now) -> float:
-        """Return the earliest time on the steady clock at which a motion may begin, s: when the arm
-        no longer has to stand still and the striker is no longer charged. The wait for the striker
-        is limited to ``LONGEST_WAIT_S``."""
+        """Return the earliest time, in s of the steady clock, at which a motion may begin. From
+        this time on, the arm does not have to stand still and the striker is no longer charged. The
+        wait for the striker is limited to ``LONGEST_WAIT_S``."""
         return max(self._promise_end, min(self._charged_until, now.steady + LONGEST_WAIT_S))
 
     def _leave_when_free(self, now: Now) -> None:
@@ -648,7 +652,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         self._geometry = event.cell.arm.geometry()
         self._longest_hold = permit.longest_hold(event.cell)
         # Before a restart, this node may have granted a promise to stand still, possibly to a
-        # tapper of another cell file. Assume that the longest possible promise was granted.
+        # tapper with another cell file. Assume that the longest possible promise was granted.
         self._promise_end = max(self._promise_end, now.steady + permit.LONGEST_HOLD_S)
 
     def _closed(self) -> None:
@@ -804,7 +808,8 @@ class ArmLogic(DeviceLogic[State, Event]):
         return super()._drain(now)
 
     def _publish_joints(self) -> None:
-        """Publish the joint states of a new reading, unless the arm's own ROS driver does so."""
+        """Publish the joint states of a new reading, unless the arm's own ROS driver publishes
+        joint states."""
         reading = self._reading_kept if self._homed() else None
         if reading is None or self._read_stamp == self._joints_published:
             return
@@ -836,7 +841,7 @@ INACTIVE_ERROR = (ErrorCode.NOT_ACTIVE, "the arm's node is not active; activate 
 
 
 def trajectory_targets(message: JointTrajectory) -> list[tuple[Joints, float]]:
-    """Return, for each point, the joints and the time from the start in s.
+    """Return, for each point, the joint values and the time from the start of the trajectory, s.
 
     Raises:
         ValueError: the trajectory is invalid; the message says why.

@@ -1,4 +1,4 @@
-"""Round bars that represent the arm in ``table``, to compute what it hides from the camera."""
+"""Round bars in ``table`` that represent the arm, to compute what the arm hides from the camera."""
 
 from __future__ import annotations
 

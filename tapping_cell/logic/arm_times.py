@@ -26,7 +26,7 @@ SIDEWAYS_S = 0.25
 """Mean duration of the move from above a strike pose to a pose at which the camera sees the object,
 s."""
 HEADINGS = np.arange(12) * (2.0 * math.pi / 12)
-"""Headings of the strikes around the table's centre over which times are averaged, rad."""
+"""Headings, rad, of strikes around the table's centre; times are averaged over these strikes."""
 
 
 class ArmTimes:
@@ -116,8 +116,8 @@ class ArmTimes:
 
 def arm_times(cell: Cell) -> ArmTimes | None:
     """Return the times of a cell's arm; None if the cell has no arm, or if the configured arm
-    cannot reach the strike poses. If the arm cannot reach them, its driver reports the cause, and
-    no tap is commanded."""
+    cannot reach the strike poses. In the second case, the arm's driver reports the cause, and no
+    tap is commanded."""
     if cell.file.arm is None:
         return None
     try:

@@ -71,7 +71,7 @@ OPEN = (P.WAITING, P.ACTIVE, P.MAKING_WAY, P.REACHED)
 PROGRESS_TABLE = table(
     [
         # An object can leave its goal again, because another object touched it or because it must
-        # make way.
+        # make way for another object.
         (OPEN, Change.TAPPED_TO_GOAL, (P.ACTIVE,)),
         (OPEN, Change.TAPPED_AWAY, (P.MAKING_WAY,)),
         (OPEN, Change.LEFT, (P.WAITING,)),
@@ -117,7 +117,7 @@ class ArrangementTask(Task):
     """Areas on the table that belong to no object of the cell."""
     arrangement: ArrangementSession | None = None
     touched: list[str] = field(default_factory=list)
-    """Objects that a tap of another object has moved and that have not been reported yet."""
+    """Objects that were moved by a tap of another object. This motion has not been reported yet."""
     _seen: dict[str, Observation] = field(default_factory=dict)
     _states: dict[str, ObjectState] = field(default_factory=dict)
     _tap: TapOf | None = None
@@ -146,8 +146,8 @@ class ArrangementTask(Task):
         """Return whether every object was seen at rest after the steady time ``after``.
 
         If every object was seen, the monitor watches the present object after this call; otherwise
-        it watches the first object that was not seen. An object that must not be moved is left out
-        if it is not on the table when the task begins.
+        it watches the first object that was not seen. An object that must not be moved is not
+        considered if it is not on the table when the task begins.
         """
         found = {}
         for body in self._bodies():
@@ -302,7 +302,7 @@ class ArrangementTask(Task):
         )
 
     def lose(self, shot: Shot) -> None:
-        """Record the tap if it was or may have been fired."""
+        """Record the tap if it was fired or may have been fired."""
         if shot.outcome in (TapperState.FIRED, TapperState.UNKNOWN):
             self.records.append(shot.record(None, self.session.gains))
 
@@ -310,7 +310,7 @@ class ArrangementTask(Task):
         return self.bodies if self.arrangement is None else self.arrangement.bodies
 
     def _turn_to(self, name: str) -> None:
-        """Make ``name`` the present object, which is observed and reported from now on."""
+        """Make ``name`` the present object. This object is observed and reported from now on."""
         self.object_id = name
         if name in self.wanted:
             self.goal, self.message = self.wanted[name].goal, self.wanted[name].message
@@ -366,8 +366,8 @@ class ArrangementTask(Task):
 
 @dataclass(slots=True, eq=False, kw_only=True)
 class AmongOthersTask(ArrangementTask):
-    """Task of moving one object that is not the cell's own object. It is planned as an arrangement
-    in which only this object is moved."""
+    """Task of moving one object that is not the cell's own object. The task is planned as an
+    arrangement in which only this object is moved."""
 
     resumable: ClassVar[bool] = True
 

@@ -17,9 +17,10 @@ CodedError = tuple[int, str]
 
 QUICKEST_IMAGE_S = 0.05
 """Margin for the error of an image's estimated capture time, s. The estimate is too late by the
-smallest delay of the camera's messages, which cannot be distinguished from a difference of the
-clocks. The capture time is compared with events of arm and tapper, whose messages are delayed too,
-so only the difference of the smallest delays matters."""
+smallest delay of the camera's messages, because this delay cannot be distinguished from a
+difference between the clocks. The capture time is compared with events of arm and tapper. The
+messages of arm and tapper are delayed too, so the error is only the difference between the smallest
+delays."""
 FAULTED = (TapperState.FAULT, TapperState.STOPPED)
 DOING = {
     ArmState.HOMING: "homing",
@@ -61,8 +62,8 @@ class CellMonitor:
         self._watched = name
 
     def expect(self, has_arm: bool) -> None:
-        """Set whether the cell has an arm. Without this call, the monitor derives it from the
-        received messages."""
+        """Set whether the cell has an arm. Without this call, the monitor derives from the received
+        messages whether there is an arm."""
         self._arm_expected = has_arm
 
     @property
@@ -74,7 +75,8 @@ class CellMonitor:
 
     @property
     def tip(self) -> tuple[float, float, float, float] | None:
-        """Last reported tip of the arm: x, y, height and yaw in ``table``; None if not homed."""
+        """Last reported pose of the arm's tip: x, y, height and yaw in ``table``; None if the arm
+        is not homed."""
         if self.arm is None or not self.arm.homed:
             return None
         place = from_message(self.arm.tip_pose)
@@ -115,14 +117,14 @@ class CellMonitor:
         return now.steady - self._received[name] > self._silence_limit
 
     def observed_at(self, now: Now) -> float:
-        """Return the time of the last image on this computer's steady clock, s."""
+        """Return the time of the last image, in s of this computer's steady clock."""
         if self.object is None:
             return -math.inf
         return self.camera_clock.to_steady(self.object.header.stamp, now)
 
     def unseen_for(self, now: Now) -> float:
-        """Return the time since the object was last seen, s; 0 if the last observation shows it,
-        however old that observation is."""
+        """Return the time since the object was last seen, s; 0 if the last observation shows the
+        object, however old that observation is."""
         seen = self.object
         if seen is not None and seen.visible and not seen.error_code:
             return 0.0
@@ -159,7 +161,7 @@ class CellMonitor:
         return since > moment + QUICKEST_IMAGE_S
 
     def missing(self, now: Now) -> CodedError | None:
-        """Return why the cell is not ready for a tap, or None if it is."""
+        """Return why the cell is not ready for a tap, or None if the cell is ready."""
         arm, tapper = self.arm, self.tapper
         of_arm = self._arm_missing(arm, now) if self.has_arm else None
         if of_arm is not None:
@@ -204,8 +206,8 @@ class CellMonitor:
         return None
 
     def _connecting(self, name: str, state: ArmState | TapperState, now: Now) -> bool:
-        """Return whether a silent driver's last message is an error of its connection that is still
-        valid: a driver publishes nothing while it tries to connect."""
+        """Return whether the last message of a silent driver reports a connection error that is
+        still valid: a driver publishes nothing while it tries to connect."""
         disconnected = state.state == (
             ArmState.DISCONNECTED if name == "arm" else TapperState.DISCONNECTED
         )
@@ -252,15 +254,16 @@ class CellMonitor:
         return arm is not None and arm.tap_id == tap_id and arm.state == ArmState.IN_POSITION
 
     def out_of_reach(self, tap_id: int) -> CodedError | None:
-        """Return why the arm cannot reach the strike pose of this tap, or None."""
+        """Return why the arm cannot reach the strike pose of this tap, or None if the arm has not
+        reported this error."""
         arm = self.arm
         if arm is None or arm.tap_id != tap_id or arm.error_code != ErrorCode.ARM_OUT_OF_REACH:
             return None
         return arm.error_code, arm.error_msg
 
     def left_behind(self) -> int:
-        """Return the id of a tap from a previous planner that the arm still executes; 0 if there is
-        none."""
+        """Return the id of the tap that a previous planner has commanded and that the arm still
+        executes; 0 if there is no such tap."""
         arm = self.arm
         serving = arm is not None and arm.state in (ArmState.IN_POSITION, ArmState.MOVING)
         return int(arm.tap_id) if arm is not None and serving else 0
@@ -278,7 +281,8 @@ class CellMonitor:
         return int(TapperState.NONE) if tapper is None else int(tapper.outcome)
 
     def tapper_of(self, tap_id: int) -> TapperState | None:
-        """Return the last state of the tapper if it is about this tap, or None."""
+        """Return the last state of the tapper if this state is about the given tap, otherwise
+        None."""
         tapper = self.tapper
         return tapper if tapper is not None and tapper.tap_id == tap_id else None
 
@@ -296,8 +300,9 @@ class CellMonitor:
     ) -> CodedError:
         """Return why there is no usable observation.
 
-        ``waited``: how long the goal waited for one before it was given up, s; None if it is not
-        given up. ``moved_aside``: the arm has already moved aside to uncover the object.
+        ``waited``: time, s, for which the goal waited for a usable observation before the goal was
+        given up; None if the goal is not given up. ``moved_aside``: whether the arm has already
+        moved aside to uncover the object.
         """
         within = "" if waited is None else f" within {waited:.0f} s"
         seen, name = self.object, f"'{self._watched}'" if self._watched else "the object"

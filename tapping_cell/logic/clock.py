@@ -14,7 +14,7 @@ class Now:
     """Present time on both clocks of a host. The host reads ``steady`` first."""
 
     steady: float
-    """Time of the host's steady clock, which its drivers also use, s."""
+    """Time of the host's steady clock, s. The host's drivers use the same clock."""
     ros: int
     """ROS time of the host, for comparison with stamps and expiries, ns."""
 

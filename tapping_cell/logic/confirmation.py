@@ -1,7 +1,7 @@
 """Validity of a person's confirmation of a planned tap.
 
 If a confirmed tap is not fired because a message or image came too late, the tap is planned again.
-The confirmation remains valid if the new tap is nearly the same as the confirmed one. Otherwise, a
+The confirmation remains valid if the new tap is nearly the same as the confirmed tap. Otherwise, a
 new confirmation is requested, and the request states the difference.
 """
 
@@ -14,12 +14,13 @@ from tapping_cell.logic.task import Shot
 from tapping_cell.se2 import Pose
 
 HOLDS_S = 20.0
-"""Time for which a confirmation remains valid, s. The limit prevents a tap long after the
-confirmation, which could surprise the operator."""
+"""Time for which a confirmation remains valid, s. A tap long after the confirmation could surprise
+the operator."""
 OBJECT_M, OBJECT_RAD = 0.0005, math.radians(0.5)
-"""Maximum displacement of the object since the confirmed plan."""
+"""Maximum displacement of the object from its pose in the confirmed plan."""
 STRIKE_M, STRIKE_RAD = 0.001, math.radians(1.0)
-"""Maximum difference of the strike poses, and of the predicted poses of the object."""
+"""Maximum difference between the strike poses of the confirmed tap and the new tap, and between the
+predicted poses of the object."""
 SPEED_SHARE = 0.05
 """Maximum relative difference of the striker's speeds."""
 

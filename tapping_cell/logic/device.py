@@ -192,7 +192,7 @@ class DeviceLogic(ABC, Generic[State, Event]):
         connects; raises HardwareFault."""
 
     def _unreachable(self, fault: HardwareFault) -> None:
-        """Take in why an attempt to configure the node failed."""
+        """Process the fault that made an attempt to configure the node fail."""
 
     def _clears_at_next_attempt(self) -> bool:
         """Handle a request to clear before the node is configured; return whether it is granted."""

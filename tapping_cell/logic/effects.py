@@ -22,7 +22,7 @@ class JobContext(Protocol):
 
     @property
     def driver(self) -> Any:
-        """Driver of the host's device; it uses the same clock as ``Now.steady``."""
+        """Driver of the host's device; the driver uses the clock of ``Now.steady``."""
 
     def now(self) -> Now:
         """Return the present time."""
@@ -38,10 +38,10 @@ class JobContext(Protocol):
         handled it."""
 
     def ask(self, query: Callable[[Now], Any]) -> Any:
-        """Call ``query``, a side-effect-free method of the machine, under the lock of the machine's
-        handlers.
+        """Call ``query`` while the lock of the machine's handlers is held. ``query``: a method of
+        the machine without side effects.
 
-        The time that is passed to the method is read after the lock was taken.
+        The time that is passed to ``query`` is read after the lock was taken.
         """
 
 
@@ -50,7 +50,7 @@ class Job:
     """A blocking function that uses the driver; jobs run one at a time, in the given order."""
 
     number: int
-    """Unique number within the lifetime of the machine."""
+    """Number that is unique within the lifetime of the machine."""
     name: str
     run: Callable[[JobContext], object]
 
@@ -70,7 +70,8 @@ class JobEnded:
     job: int
     result: Any = None
     fault: Exception | None = None
-    """Exception that ``run`` raised: a HardwareFault, or any other if the program has a defect."""
+    """Exception that ``run`` raised: a HardwareFault, or any other exception if the program has a
+    defect."""
 
 
 class LogLevel(Enum):
@@ -94,8 +95,9 @@ class Call:
     """Call a service. ``on_answer(token, response)`` is then called once; the response is None
     after ``timeout``.
 
-    If several nodes offer the service, it is not called, and the answer is SeveralServers: each of
-    these nodes would handle the request, and the first answer might come from the wrong one.
+    If several nodes offer the service, the service is not called, and the answer is SeveralServers.
+    Otherwise, each of these nodes would handle the request, and the first answer might come from
+    the wrong node.
     """
 
     service: str
@@ -128,12 +130,12 @@ class StopLevels:
     """Answer to :class:`AskStops`."""
 
     asserted: bool
-    """Whether a publisher asserts its stop at present."""
+    """Whether at least one publisher asserts its stop at present."""
     publishers: tuple[str, ...]
     """Names of the nodes that publish ``emergency_stop`` at present."""
     gone: tuple[str, ...]
-    """Nodes whose publisher existed when a stop was received, but no longer exists. Only stops
-    since the last reset (``KeepStop(None)``) count."""
+    """Nodes whose publisher existed when a stop was received, but does not exist at present. Only
+    stops since the last reset (``KeepStop(None)``) count."""
     silent: tuple[str, ...] = ()
     """If there are several publishers: nodes whose publisher does not resend its level to a new
     subscription."""
@@ -157,7 +159,7 @@ class Feedback:
 
 @dataclass(frozen=True, slots=True)
 class RunJob:
-    """Run a job after all jobs that were queued before."""
+    """Run a job after all jobs that were queued before it."""
 
     job: Job
 
@@ -197,7 +199,8 @@ class TouchGoal:
 
 @dataclass(frozen=True, slots=True)
 class KeepStop:
-    """Write the latched stops to disk before any other effect, for a restart; None removes them."""
+    """Write the latched stops to disk, to restore them after a restart; None removes them. The host
+    executes this effect before any other effect."""
 
     content: Content | None
 

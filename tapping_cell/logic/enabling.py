@@ -18,8 +18,8 @@ TOPIC = "enabling"
 SOURCE = "enabling device released"
 """Source in ``stop_state`` of a stop by the enabling device."""
 HEARTBEAT_S = 0.35
-"""Message timeout of the enabling device, s. The device counts as released if no message has
-reported for this time that it is held."""
+"""Message timeout of the enabling device, s. The device counts as released if no message within
+this time reports that the device is held."""
 RELEASED: CodedError = (
     ErrorCode.ENABLING_RELEASED,
     "set-up mode: no enabling device is held; hold the page's key or the foot switch",
@@ -32,7 +32,7 @@ STOPPED: CodedError = (
 
 
 class EnablingDevice:
-    """State of the key and the switch. It is sufficient to hold one of the two."""
+    """State of the key and the switch. Motion is allowed while at least one of the two is held."""
 
     def __init__(self) -> None:
         self._key_at = self._switch_at = -math.inf

@@ -19,7 +19,8 @@ class Frames(Protocol):
     """Source of the poses of other frames."""
 
     def in_table(self, frame: str, stamp: Time) -> Pose:
-        """Return the pose of a frame in ``table`` at a time; a stamp of zero means the latest.
+        """Return the pose of a frame in ``table`` at the time ``stamp``; a stamp of zero selects
+        the latest pose.
 
         Raises:
             FrameError: the pose is not known.
@@ -27,7 +28,8 @@ class Frames(Protocol):
 
 
 class TableOnly:
-    """Replacement that knows only ``table``; used if tf2_ros is not installed."""
+    """Implementation of ``Frames`` without any frame besides ``table``; used if tf2_ros is not
+    installed."""
 
     def in_table(self, frame: str, stamp: Time) -> Pose:
         """Raise FrameError."""

@@ -94,12 +94,12 @@ class GoalHandling:
     ) -> None:
         """Create the goal handling of a cell.
 
-        ``other_objects``: obstacles; ``objective``: quantity to minimise, empty for the one in the
-        cell file; ``adapt``: learn from taps; ``probe``: begin with a few of the smallest taps if
-        the object's friction is not known; ``keep_for``: cell for which the learnt corrections of
-        the model are stored between runs, empty to store none; ``time_limit``: default time limit
-        of a goal, s; ``maps``: maps already made for this cell; ``frames``: other frames in which
-        goals may be given, None for ``table`` only.
+        ``other_objects``: obstacles; ``objective``: quantity to minimise, empty for the quantity in
+        the cell file; ``adapt``: learn from taps; ``probe``: begin with a few of the smallest taps
+        if the object's friction is not known; ``keep_for``: cell for which the learnt corrections
+        of the model are stored between runs, empty to store none; ``time_limit``: default time
+        limit of a goal, s; ``maps``: maps already made for this cell; ``frames``: other frames in
+        which goals may be given, None for ``table`` only.
         """
         self.cell = cell
         self._frames = frames or TableOnly()
@@ -177,7 +177,8 @@ class GoalHandling:
             task.free_space = self.map.free
 
     def _goal_refusal(self, goal: Pose) -> Refusal | None:
-        """Return why the cell cannot move the object to this goal, or None if it can."""
+        """Return why the cell cannot move the object to this goal, or None if the goal is
+        possible."""
         return check_goal(goal, self.map.space, self.map.free)
 
     def _session(
@@ -208,8 +209,9 @@ class GoalHandling:
     ) -> tuple[int, str] | None:
         """Update the free space of a task to the present poses of the other objects.
 
-        Return an error if another object was not observed since the steady time ``since``, or if
-        the camera has not searched for objects without an object file since ``search_since``.
+        Return an error if one of the other objects was not observed since the steady time
+        ``since``, or if the camera has not searched for objects without an object file since the
+        steady time ``search_since``.
         """
         if not self.other_objects.searched(search_since):
             return (
@@ -218,8 +220,8 @@ class GoalHandling:
                 "an object is moving; make sure that nothing moves on the table",
             )
         if isinstance(task, ArrangementTask):
-            # An arrangement task itself observes all objects that have an object file. It only
-            # needs to be given the areas of the objects without an object file.
+            # An arrangement task itself observes all objects that have an object file. Such a task
+            # needs to be given only the areas of the objects without an object file.
             task.avoid(self.other_objects.unknown)
             return None
         names = self.other_objects.unobserved(since)

@@ -1,6 +1,6 @@
 """Check, for a waiting client, whether the planner still pursues the goal that it has accepted.
 
-After a crash of the planner no action result is sent. If the planner restarts early enough to
+After a crash of the planner, no action result is sent. If the planner restarts early enough to
 resume the goal, it reports the end of the goal only in ``plan_state``. If the planner does not
 resume the goal, the client has to end the wait.
 """
@@ -36,7 +36,7 @@ class Ended:
 
 
 class GoalWatch:
-    """Follows one goal from its acceptance. Times are steady, in s."""
+    """Follows one goal from its acceptance. Times are in s of the steady clock."""
 
     def __init__(self, goal: Pose, planners: frozenset[bytes], now: float) -> None:
         """``goal``: pose in ``table``. ``planners``: publishers of ``plan_state`` when the goal was

@@ -1,8 +1,9 @@
 """The interface between a state machine and its host.
 
-The host calls one handler at a time, under one lock per machine, and reads the time once the lock
-is held. It executes all effects that a handler returns, then calls the next handler. Jobs run
-outside the lock. If a handler raises, the program has a defect, and the host calls ``on_defect``.
+The host calls one handler at a time, under one lock per machine, and reads the time after it has
+taken the lock. The host executes all effects that a handler returns, then calls the next handler.
+Jobs run outside the lock. If a handler raises, the program has a defect, and the host calls
+``on_defect``.
 """
 
 from __future__ import annotations

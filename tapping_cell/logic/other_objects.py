@@ -1,6 +1,6 @@
 """The other objects on the table as obstacles for the planner, at their last observed poses.
 
-These obstacles include objects without an object file, of which only the outlines are known.
+These obstacles include objects without an object file; only the outlines of such objects are known.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from tapping_cell.planning import CircleArea, KeepOut, PolygonArea
 from tapping_cell.se2 import Pose, transform_points
 
 UNKNOWN = "unknown object"
-"""Beginning of the names of the objects without an object file."""
+"""Prefix of the names of the objects without an object file."""
 
 
 @dataclass(slots=True)
 class _Known:
-    """Last observations of one object; times on the steady clock, in s."""
+    """Last observations of one object; times in s of the steady clock."""
 
     observed_at: float = -math.inf
     pose: Pose | None = None
@@ -89,8 +89,8 @@ class OtherObjects:
 
     def searched(self, since: float) -> bool:
         """Return whether the camera has searched for objects without an object file since
-        ``since``, a time on the steady clock in s. Also True if the camera does not search for
-        them."""
+        ``since``, in s of the steady clock. Also return True if the camera does not search for such
+        objects."""
         return self._searched_at > since
 
     def areas(self, now: Now) -> tuple[KeepOut | None, ...]:
@@ -100,12 +100,12 @@ class OtherObjects:
         return (*(self._area(file, now) for file in self._files), *self._unknown)
 
     def moved_since(self, areas: Sequence[KeepOut | None], now: Now) -> bool:
-        """Return whether an object has moved or appeared since ``areas`` (see :meth:`areas`)."""
+        """Return whether an object has moved or appeared since :meth:`areas` returned ``areas``."""
         return any(area is not None and area not in areas for area in self.areas(now))
 
     def unobserved(self, since: float) -> str:
-        """Return the names of the objects that the camera has not observed since ``since``, a time
-        on the steady clock in s; empty if there are none."""
+        """Return the names of the objects that the camera has not observed since ``since``, in s of
+        the steady clock; empty if there are no such objects."""
         return ", ".join(
             f"'{file.name}'"
             for file in self._files

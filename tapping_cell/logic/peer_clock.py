@@ -28,7 +28,7 @@ class PeerClock:
         self._delays: deque[tuple[float, float]] = deque()
 
     def receive(self, stamp: Time, now: Now) -> None:
-        """Process a message's stamp; a stamp of zero means that none was given."""
+        """Process a message's stamp; a stamp of zero means that no stamp was given."""
         if not (stamp.sec or stamp.nanosec):
             return
         delay = now.steady - to_seconds(stamp)
@@ -46,13 +46,13 @@ class PeerClock:
         return to_seconds(stamp) + self._delays[0][1]
 
     def age(self, stamp: Time, now: Now) -> float:
-        """Return the age of a message in s. It is not negative if ``receive`` was called with its
-        stamp on arrival."""
+        """Return the age of a message in s. The age is not negative if ``receive`` was called with
+        the stamp when the message arrived."""
         return now.steady - self.to_steady(stamp, now)
 
     def skew(self, now: Now) -> float:
-        """Return this computer's ROS time minus that of the node, including the minimum delay, s; 0
-        if unknown."""
+        """Return this computer's ROS time minus the ROS time of the node, s; 0 if unknown. The
+        difference includes the minimum delay."""
         if not self._delays:
             return 0.0
         return self._delays[0][1] - (now.steady - 1e-9 * now.ros)

@@ -8,16 +8,16 @@ import secrets
 from tapping_cell.configuration.cell import LONGEST_FLIGHT_S, Cell
 
 BEFORE_FLIGHT_S = 0.17
-"""The arm stands still for this time plus the striker's flight. The time covers the requests to arm
-and board, the firing window and the firing pulse."""
+"""The arm stands still for this time plus the striker's time of flight. This constant covers the
+requests to arm and board, the firing window and the firing pulse."""
 RELEASE_S = 0.1
-"""Minimum part of ``BEFORE_FLIGHT_S`` that must remain when the arm's answer arrives: for the
+"""Minimum part of ``BEFORE_FLIGHT_S`` that must remain when the arm's answer arrives. It covers the
 request to the board, the firing window and the firing pulse."""
 RELEASED_S = 0.035
 """Maximum time from the board's report that it fired to the end of the firing pulse."""
 SLOWNESS = 1.1
-"""Maximum ratio of actual to predicted time of flight. It is above 1, because friction and errors
-of the energy curve can make the striker slower than predicted."""
+"""Maximum ratio of actual to predicted time of flight. The ratio is above 1, because friction and
+errors of the energy curve can make the striker slower than predicted."""
 LONGEST_HOLD_S = BEFORE_FLIGHT_S + SLOWNESS * LONGEST_FLIGHT_S
 """Maximum time for which the tapper of any cell may ask the arm to stand still."""
 
@@ -38,10 +38,10 @@ def random_key() -> int:
 
 
 def key_digest(key: int) -> int:
-    """Return the digest of a key of ``hold_still`` (both from 1 to 2**64 - 1).
+    """Return the digest of a key of ``hold_still``. Key and digest are from 1 to 2**64 - 1.
 
     The tapper publishes the digest before it charges. The arm then recognises the tapper's requests
-    by their key, which no other program can derive from the digest.
+    by their key, because no other program can derive the key from the digest.
     """
     digest = hashlib.blake2b(key.to_bytes(8, "little"), digest_size=8).digest()
     return int.from_bytes(digest, "little") or 1

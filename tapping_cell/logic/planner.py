@@ -80,8 +80,8 @@ WITHDRAWN_BY_ANOTHER = (
 )
 """Error to report if a tap was not fired although the tapper reports no error."""
 HIDDEN_S = 0.7
-"""If the object is not seen for this time after the withdrawal, s, the arm moves aside, because it
-may hide the object."""
+"""Maximum time, s, for which the object may be unseen after the withdrawal. After this time, the
+arm moves aside, because the arm may hide the object."""
 PARKING_S = 0.5
 """Time within which an arm that was commanded to move aside reports that it moves."""
 REPORT_PERIOD_S = 0.5
@@ -557,7 +557,7 @@ class PlannerLogic:
             self._fail(code, f"the cell was not ready: {sentence}", now)
 
     def _observe(self, task: Task, now: Now) -> None:
-        """Observe the object at rest, evaluate the last tap, and decide on the next one."""
+        """Observe the object at rest, evaluate the last tap, and decide on the next tap."""
         needed = self._settings.frames_needed
         after = self._struck_at if self._moved_by_tap(now) else self._observe_after
         observed = task.observed(self._monitor, after, needed, now)
@@ -607,8 +607,8 @@ class PlannerLogic:
         self._enter(Event.OBSERVED, S.PLANNING, now, self._deadline - now.steady)
 
     def _moved_by_tap(self, now: Now) -> bool:
-        """Return whether the object has moved since a fixed tapper struck it and is at rest again.
-        If so, images show the result of the tap even before the striker has returned."""
+        """Return whether a fixed tapper has moved the object and the object is at rest again. In
+        this case, images show the result of the tap even before the striker has returned."""
         return self._monitor.at_rest_after(self._struck_at, now)
 
     def _wait_for_computation(self, task: Task, now: Now) -> None:
@@ -666,7 +666,7 @@ class PlannerLogic:
             )
 
     def _exhausted(self, task: Task) -> CodedError | None:
-        """Return why no further tap is made, or None if one may be made."""
+        """Return why no further tap is made, or None if a further tap may be made."""
         if task.without_effect >= self._settings.attempts:
             return (
                 ErrorCode.TAP_WITHOUT_EFFECT,
@@ -772,7 +772,7 @@ class PlannerLogic:
             )
 
     def _on_confirmation(self, asked: ConfirmTap.Request, now: Now) -> ConfirmTap.Response:
-        """Handle a person's answer, which is only valid for the tap that is proposed now."""
+        """Handle a person's answer. The answer is valid only for the tap that is proposed now."""
         if self._task is not None:
             self._advance(now)  # first handle received messages and expired deadlines
         shot, task = self._proposed, self._task
@@ -916,7 +916,8 @@ class PlannerLogic:
         )
 
     def _check_cell(self, code: int, sentence: str, now: Now) -> None:
-        """End a wait for arm or tapper after a fault, a lost driver or a passed deadline."""
+        """End a wait for arm or tapper if there is a fault, if the connection to a driver is lost,
+        or if the deadline has passed."""
         fault = self._monitor.fault()
         if fault is not None:
             self._fail(*fault, now)
@@ -935,7 +936,8 @@ class PlannerLogic:
         self._enter(Event.CELL_NOT_READY, S.WAITING_FOR_CELL, now, deadline)
 
     def _disturbed(self, shot: Shot, now: Now) -> bool:
-        """Return whether this object or another one was moved since the tap was planned."""
+        """Return whether the present object or another object was moved since the tap was
+        planned."""
         limits = self._settings.moved_limit, self._settings.turned_limit
         if self._monitor.seen_away_from(shot.before, *limits):
             return True
@@ -978,7 +980,7 @@ class PlannerLogic:
         self._effects.append(Publish("tap_command", command))
 
     def _hidden_by_arm(self, now: Now) -> bool:
-        """Return whether the arm probably hides the object, because it was not seen for
+        """Return whether the arm probably hides the object, because the object was not seen for
         ``HIDDEN_S``."""
         if not self._has_arm or self._view_cleared:
             return False
@@ -986,8 +988,9 @@ class PlannerLogic:
         return min(elapsed, self._monitor.unseen_for(now)) > HIDDEN_S
 
     def _move_arm_aside(self, now: Now) -> None:
-        """Move the arm, because it may hide the object: first to its park pose; if the object is
-        still not seen, to a pose that uncovers the area that the arm hides."""
+        """Move the arm, because the arm may hide the object. First move the arm to its park pose.
+        If the object is still not seen, move the arm to a pose that uncovers the area that the arm
+        hides."""
         if self._withdrawn_tap_id not in (0, self._parked_tap_id):
             self._park(now)
             return

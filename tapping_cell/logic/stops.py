@@ -1,11 +1,11 @@
 """Latch of the emergency stop: which sources asserted the stop, and when an operator may reset it.
 
-True on the topic ``emergency_stop`` stops immediately and latches the stop. False only means that
+True on the topic ``emergency_stop`` stops immediately and latches the stop. False means only that
 the publisher no longer asserts its stop; the latch remains until an operator resets it with
 ``clear_fault``. A message does not identify its publisher, so a reset queries every publisher again
-and is refused if one still asserts the stop. A publisher that has vanished, or that does not repeat
-its level, cannot be queried: a person must inspect the cell and confirm by requesting the reset a
-second time. A new stop cancels the confirmation.
+and is refused if any publisher still asserts the stop. A publisher that has vanished, or that does
+not repeat its level, cannot be queried: a person must inspect the cell and confirm by requesting
+the reset a second time. A new stop cancels the confirmation.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class StopLatch:
         return tuple(self._sources)
 
     def advice(self) -> str:
-        """Return what a person has to do to clear the stop; empty if not stopped."""
+        """Return what a person has to do to clear the stop; empty if no stop is latched."""
         if not self._sources:
             return ""
         if self._asserted:
@@ -77,8 +77,8 @@ class StopLatch:
         return changed and self.stopped
 
     def press(self, source: str = SERVICE) -> bool:
-        """Latch a stop from a source without a level, such as a service call; return whether it is
-        new."""
+        """Latch a stop from a source without a level, such as a service call; return whether this
+        stop is new."""
         self._begin_stop()
         return self._add(source)
 
@@ -87,7 +87,8 @@ class StopLatch:
         self._asked = self._received
 
     def try_reset(self, levels: StopLevels | None, now: Now) -> str:
-        """Reset if the publishers' levels allow it; return why not, or "" if it was reset."""
+        """Reset the latch if the publishers' levels allow this. Return why the latch was not reset,
+        or "" if it was reset."""
         if levels is None:
             return "the publishers of emergency_stop could not be determined; clear the stop again"
         if self._received != self._asked:

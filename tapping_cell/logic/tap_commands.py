@@ -17,9 +17,9 @@ CLOCK_TOLERANCE_S = 1.0
 """Maximum time by which a stamp may lie in the future, because the computers' clocks differ
 slightly."""
 LARGEST_JUMP = 2**28
-"""Maximum difference between a tap id and the greater of two numbers: the last id, and the clock's
-time in whole seconds. The limit corresponds to 8 years. Without it, one wrong id could leave no
-greater ids for the following taps."""
+"""Maximum amount by which a tap id may exceed the greater of two numbers: the last id, and the
+clock's time in whole seconds. The limit corresponds to 8 years. Without this limit, one wrong id
+could leave no greater ids for the following taps."""
 
 CodedError = tuple[int, str]
 """Error code and message."""
@@ -33,7 +33,7 @@ def largest_id(last_tap_id: int, now: Now) -> int:
 def refusal(command: TapCommand, now: Now, last_tap_id: int) -> CodedError | None:
     """Return why a TAP or CLEAR_VIEW must be refused, or None if it is valid.
 
-    ``last_tap_id``: greatest id executed so far. A stamp of zero means that none was given.
+    ``last_tap_id``: greatest id executed so far. A stamp of zero means that no stamp was given.
     """
     if command.request not in (TapCommand.TAP, TapCommand.CLEAR_VIEW):
         return (
@@ -101,7 +101,7 @@ def expired(command: TapCommand, now: Now) -> bool:
 
 
 def overdue(command: TapCommand, now: Now) -> str:
-    """Return the sentence about a command whose expiry has passed."""
+    """Return the error message for a command whose expiry has passed."""
     late = (now.ros - to_nanoseconds(command.expiry)) / NANOSECONDS
     return (
         f"its expiry passed {late:.1f} s ago; check the clocks of the computers and the network,"

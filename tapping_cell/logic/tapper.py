@@ -161,7 +161,7 @@ class TapperOptions:
     """
 
     state_rate: float = 20.0
-    """Hz."""
+    """Rate at which ``tapper_state`` is published, Hz."""
     limits: PeerLimits = field(default_factory=PeerLimits)
     set_up: bool = False
     """Set-up mode: charges and fires only while an enabling device is held."""
@@ -184,13 +184,13 @@ class Tap:
     strike: Pose
     """Pose of the tip for the strike. An arm moves it there; a fixed tapper is always there."""
     flight: float
-    """Time from the release of the striker to the end of its stroke, s; the arm stands still
-    meanwhile."""
+    """Time from the release of the striker to the end of its stroke, s; the arm stands still during
+    this time."""
 
 
 @dataclass(frozen=True, slots=True)
 class Permit:
-    """The arm's promise to stand still for a tap until ``until``, s on this computer's steady
+    """The arm's promise to stand still for a tap until ``until``, in s of this computer's steady
     clock."""
 
     tap_id: int
@@ -237,7 +237,7 @@ class TapperLogic(DeviceLogic[State, Event]):
     # Queries by the running job, without side effects
 
     def check_charging(self, now: Now) -> CodedError | None:
-        """Return why charging must not begin or continue, or None if it may."""
+        """Return why charging must not begin or continue, or None if charging is allowed."""
         tap = self._tap
         if tap is None:
             return ErrorCode.NONE, "the tap is over"
@@ -317,7 +317,7 @@ class TapperLogic(DeviceLogic[State, Event]):
                 self._give_up((ErrorCode.NONE, ""))
             return
         if command.request == TapCommand.CLEAR_VIEW:
-            return  # for the arm only
+            return  # this command is only for the arm
         refusal = self._refusal(command, now)
         if refusal is not None:
             self._refuse(command, refusal, now)
@@ -425,7 +425,8 @@ class TapperLogic(DeviceLogic[State, Event]):
         )
 
     def _give_up(self, why: CodedError) -> None:
-        """End the tap under way without a release, unless the striker was already released."""
+        """End the tap under way. The striker is not released, unless its release has already
+        begun."""
         if self._given_up is None:
             self._given_up = why
         if self.state is S.WAITING:
@@ -511,7 +512,7 @@ class TapperLogic(DeviceLogic[State, Event]):
             )
             return
         # Count the hold time from the moment at which hold_still was requested. The arm counts it
-        # from the later moment at which it handles the request, so it holds still for longer.
+        # from the later moment at which it handles the request, so the arm stands still for longer.
         until = self._asked_at + permit.hold(tap.flight)
         late = response is None or now.steady > until - permit.RELEASE_S - tap.flight
         if response is not None and not response.granted:
@@ -633,7 +634,7 @@ class TapperLogic(DeviceLogic[State, Event]):
             return
         if fault.reason in OF_THE_TAP and name == "charge" and self.state is S.DISCHARGING:
             # The tap had already been given up, and the board refused to continue charging. For
-            # example, it discharged while this process was suspended.
+            # example, the board discharged while this process was suspended.
             self._run("discharge", tapper_jobs.discharge)
             return
         if self._tap is not None:
@@ -674,7 +675,7 @@ class TapperLogic(DeviceLogic[State, Event]):
             self._discharge(_why_not_charged(result.reply))
 
     def _see_return(self, reply: Reply) -> None:
-        """Handle the end of the wait for a released striker, which has returned or is overdue."""
+        """Handle the end of the wait for a released striker: it has returned or is overdue."""
         if reply.state is BoardState.SAFE:
             self._machine.move(Event.RETURNED, S.SAFE)
         elif not reply.stop_latched:
@@ -877,7 +878,7 @@ class TapperLogic(DeviceLogic[State, Event]):
 
 
 def _why_not_charged(reply: Reply) -> CodedError:
-    """Return why a board that was charged reports another state."""
+    """Return why a board that was charged now reports a state other than charged."""
     if not reply.interlock_closed:
         return (
             ErrorCode.TAPPER_INTERLOCK_OPEN,

@@ -14,8 +14,8 @@ from tapping_cell.logic.effects import JobContext
 from tapping_cell.logic.tap_commands import CodedError
 
 WINDOW_S = 0.04
-"""Time from the last check before FIRE to the board's deadline, s. It is twice the 20 ms that FIRE
-and its reply take."""
+"""Time from the last check before FIRE to the board's deadline, s. This constant is twice the 20 ms
+that FIRE and its reply take."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,7 +28,8 @@ class Status:
 
 @dataclass(frozen=True, slots=True)
 class ChargeEnd:
-    """Result of charging: the tapper is charged, or it was discharged because of ``refusal``."""
+    """Result of charging: the tapper is charged, or the tapper was discharged because of
+    ``refusal``."""
 
     status: Status
     charged: bool
@@ -43,16 +44,16 @@ class FireEnd:
     outcome: FireOutcome
     sentence: str
     refusal: CodedError | None
-    """Reason given by the last check, if it prevented the shot."""
+    """Reason given by the last check, if this check prevented the shot."""
     refused: HardwareFault | None
-    """Fault reported by the board, if it prevented the shot."""
+    """Fault reported by the board, if this fault prevented the shot."""
     status: Status | None
     fault: HardwareFault | None
     """Fault that occurred after the outcome was known."""
 
 
 def connect(context: JobContext, patience: float) -> Status:
-    """Open the port again with a new session, which discharges the tapper."""
+    """Open the port again and start a new session; the new session discharges the tapper."""
     driver: TapperDevice = context.driver
     return _make_status(driver, driver.connect(timeout=patience))
 
@@ -64,7 +65,7 @@ def read(context: JobContext) -> Status:
 
 
 def clear(context: JobContext) -> Status:
-    """Clear a stop or a fault; after a stop the board requires a person at the cell."""
+    """Clear a stop or a fault; after a stop, the board requires a person at the cell."""
     driver: TapperDevice = context.driver
     return _make_status(driver, driver.clear())
 
@@ -116,7 +117,7 @@ def fire(
     check: Callable[[float, Now], CodedError | None],
     post_replies: bool,
 ) -> FireEnd:
-    """Fire a charged shot if ``check`` allows it, or discharge it.
+    """Fire a charged shot if ``check`` allows the shot; otherwise discharge the tapper.
 
     ``check`` receives the latest possible end of the release pulse, in s of the steady clock.
     ``post_replies``: whether the board's last reply is sent to the state machine before each check.
@@ -135,7 +136,7 @@ def fire(
     outcome, sentence = result.outcome, result.sentence
     status, fault = None, None
     try:
-        # This reply contains both the last shot fired and its measured speed.
+        # This reply contains the number of the last shot fired and the measured speed of this shot.
         reply = driver.status()
         outcome, sentence = _confirmed(result, reply)
         if reply.state is State.CHARGED:
@@ -162,7 +163,8 @@ def _confirmed(result: FireResult, reply: Reply) -> tuple[FireOutcome, str]:
 
 
 def wait_for_return(context: JobContext) -> Status:
-    """Wait until the released striker is back at its mount, or the board stops waiting for it."""
+    """Wait until the released striker is back at its mount, or until the board stops waiting for
+    it."""
     driver: MountedTappers = context.driver
     return _make_status(driver, driver.wait_for_return(lambda: not context.abandoned()))
 

@@ -1,7 +1,7 @@
 """Checks of the messages of arm, planner and camera before the tapper charges and fires.
 
-A cell with fixed tappers has no arm. There, the boards must instead have verified that the strikers
-are at their mounts."""
+A cell with fixed tappers has no arm. In such a cell, the boards must instead have verified that the
+strikers are at their mounts."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from tapping_cell.messages import (
 from tapping_cell.se2 import Pose
 
 TAPPING = (PlanState.PLACING, PlanState.FIRING)
-"""States of the planner in which it waits for a commanded tap."""
+"""States of the planner in which the planner waits for a commanded tap."""
 BLIND = frozenset(
     {
         ErrorCode.CAMERA_SILENT,
@@ -31,13 +31,13 @@ BLIND = frozenset(
         ErrorCode.STAMP_INVALID,
     }
 )
-"""Error codes that mean that there was no usable image; messages with them do not count as a camera
-heartbeat."""
+"""Error codes that mean that there was no usable image; messages with these codes do not count as a
+camera heartbeat."""
 ABOVE_M, ABOVE_RAD = 0.005, 0.05
 """Maximum horizontal distance and angle from the tip to its strike pose when charging begins."""
 IDLE_LIMIT_S = 1.5
-"""Message timeout of a planner that did not command the tap, s. Such a planner publishes only twice
-a second."""
+"""Message timeout, s, of a planner that did not command the tap. Such a planner publishes only
+twice a second."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +65,8 @@ class Mounts:
     """State of the strikers as reported by the boards.
 
     ``proven``: whether all strikers have been detected at their mounts since the boards' start. A
-    striker that was released must also have been detected leaving its mount and returning.
+    striker that was released since then must also have been detected leaving its mount and
+    returning.
     ``away``: names of the strikers that are not at their mounts. ``fitted``: whether the mounts
     have switches.
     """
@@ -111,8 +112,8 @@ class TapperPeers:
         self._arm: ArmState | None = None
         self._arm_received = -math.inf
         self._arm_keys: set[int] = set()
-        """Keys of the arms that have reported that they serve a tap since the tap began, and of the
-        arm that published last before the tap: an arm that appears with the tap is another one."""
+        """Keys of the arm that published last before the tap began, and of every arm that has
+        reported a tap id since then. More than one key means that several arms publish."""
         self._clocks = {"arm": PeerClock(), "planner": PeerClock(), "camera": PeerClock()}
         self._plan_received: float | None = None
         self._phase = PlanState.IDLE
@@ -129,7 +130,7 @@ class TapperPeers:
     def begin_tap(self, object_id: str) -> None:
         """Begin the checks of a tap of the object with this name (empty: the cell's own object).
 
-        The following messages of the planner show whether the planner commanded this tap.
+        Later messages of the planner show whether the planner commanded this tap.
         """
         self._planners_tap = False
         self._arm_keys = set() if self._arm is None else {self._arm.arm_key}
@@ -178,7 +179,7 @@ class TapperPeers:
         return None
 
     def check_firing(self, tap_id: int, planned: Pose, strike: Pose, now: Now) -> CodedError | None:
-        """Return why the peers' messages forbid firing the tap, or None if it may be fired.
+        """Return why the peers' messages forbid firing the tap, or None if firing is allowed.
 
         ``planned``: pose of the object for which the tap was planned; ``strike``: commanded pose of
         the tip. Both are in ``table``.
@@ -190,7 +191,8 @@ class TapperPeers:
     def check_charging(
         self, tap_id: int, planned: Pose, strike: Pose, now: Now
     ) -> CodedError | None:
-        """Return why the tapper must not be charged, or None. Arguments as in :meth:`check_firing`.
+        """Return why the tapper must not be charged, or None if charging is allowed. Arguments as
+        in :meth:`check_firing`.
 
         Charging may begin while the arm still lowers the striker. The arm's last read-back must
         then be recent and show the tip above the strike pose, so that only a vertical motion
@@ -250,9 +252,10 @@ class TapperPeers:
         return None
 
     def other_arm(self, key: int) -> CodedError | None:
-        """Return an error if another arm than that of ``arm_state`` has answered ``hold_still``.
+        """Return an error if ``arm_state`` and the answer to ``hold_still`` come from more than one
+        arm.
 
-        ``key``: the arm's key in the answer.
+        ``key``: key of the arm that answered ``hold_still``.
         """
         if self._arm_keys == {key}:
             return None
@@ -307,7 +310,8 @@ class TapperPeers:
         return None
 
     def _disturbance(self, planned: Pose, now: Now) -> CodedError | None:
-        """Return an error unless the object is seen at the pose for which the tap was planned."""
+        """Return an error if the object is not seen at the pose for which the tap was planned, or
+        None."""
         if self._picture_at is None:
             return None
         seen, seen_at = self._seen.get(self._object, (None, -math.inf))

@@ -46,8 +46,8 @@ from tapping_cell.vision import ReferenceMap
 Array = NDArray[np.float64]
 
 MIN_EFFECT = 0.2
-"""A tap that moves the object by less than this fraction of the wanted distance counts as having no
-effect."""
+"""A tap that moves the object by less than this fraction of the intended distance counts as having
+no effect."""
 
 
 @dataclass(slots=True, eq=False)
@@ -57,7 +57,7 @@ class Shot:
     tap_id: int
     object_id: str
     number: int
-    """Number of the tap within its goal, from 1."""
+    """Number of the tap within its goal, starting at 1."""
     strike: Strike
     before: Pose
     covariance: Array
@@ -198,9 +198,8 @@ class Task:
         return not isinstance(self.session, GoalSession) or self.session.ready
 
     def computation(self, frames: int) -> Callable[[], Any] | None:
-        """Return the slow part of a decision as a function, which runs as a job once ``observed``
-        returns True.
-
+        """Return the slow part of a decision as a function. This function runs as a job once
+        ``observed`` returns True.
         ``conclude`` receives the result of the function. Return None if ``decide`` is fast enough
         without a job. ``frames``: see ``decide``.
         """
@@ -213,9 +212,9 @@ class Task:
     def decide(self, seen: ObjectState, frames: int) -> Decision:
         """Decide on the next action from an observation of the object at rest.
 
-        ``frames``: number of frames of a normal observation. The decision may be to observe again,
-        until ``LONG_OBSERVATION`` times as many frames are fused. ``frames`` is 0 if there is no
-        time for this.
+        ``frames``: number of frames of a normal observation; 0 if there is no time for a longer
+        one. The decision may be to continue the observation until ``LONG_OBSERVATION * frames``
+        frames are fused.
         """
         assert isinstance(self.session, GoalSession)
         self.session.arm = self.arm
@@ -343,6 +342,6 @@ class SingleTapTask(Task):
         return SingleTap.Result(error_code=code, error_msg=sentence, record=record)
 
     def lose(self, shot: Shot) -> None:
-        """Record the tap if it was or may have been fired."""
+        """Record the tap if it was fired or may have been fired."""
         if shot.outcome in (TapperState.FIRED, TapperState.UNKNOWN):
             self.records.append(shot.record(None, self.session.gains))

@@ -38,8 +38,8 @@ OVERSHOOT = 1.3
 PLACES = 6
 """Number of places along the object's path that must be visible."""
 MARKERS_HIDDEN = 3
-"""Maximum number of reference markers that the arm may hide. If there are few markers, it may hide
-at most half of them."""
+"""Maximum number of reference markers that the arm may hide. If there are few markers, the arm may
+hide at most half of them."""
 STEPS = np.linspace(-1.0, 1.0, 13)
 """Candidate changes of the shoulder and elbow joints, rad."""
 TURNS = (-1.2, 0.0, 1.2)
@@ -69,8 +69,9 @@ def withdrawal(
 ) -> tuple[Waypoint, ...]:
     """Return waypoints from the joints ``current`` to a pose with a free view or to the park pose.
 
-    The park pose is used if the scene is not known, if no pose at travel height has a free view,
-    or if the arm is not a SCARA, because the cell file does not describe the links of other arms.
+    The park pose is used if the scene is not known or if no pose at travel height has a free view.
+    It is also used if the arm is not a SCARA, because the cell file does not describe the links of
+    other arms.
     """
 
     def choose(geometry: ScaraGeometry, raised: Joints) -> Array | None:
@@ -95,7 +96,7 @@ def uncovering(
 ) -> tuple[Waypoint, ...]:
     """Return waypoints to the pose that hides the least of the area that the arm hides now.
 
-    If several poses hide the same amount, the one that the arm reaches first is used. The park pose
+    If several poses hide equally much, the pose that the arm reaches first is used. The park pose
     is used if no other pose hides less than the park pose, if the lens position ``camera`` in
     ``table`` is not known, or if the arm is not a SCARA.
     """

@@ -39,9 +39,10 @@ def claim(name: str) -> socket.socket | None:
     """Reserve a name on this machine, for all users, until the returned socket is closed or this
     process ends. Return None if another process holds the name.
 
-    The name is a Linux abstract socket address. It leaves no file behind. It is valid within one
-    network namespace of Linux. This is sufficient, because the loopback interface, through which
-    the nodes of two cells could disturb each other, belongs to a single network namespace too.
+    The name is a Linux abstract socket address. The name leaves no file behind. It is valid within
+    one network namespace of Linux. One network namespace is sufficient: the nodes of two cells
+    could disturb each other through the loopback interface, and this interface belongs to a single
+    network namespace too.
     """
     held = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     try:

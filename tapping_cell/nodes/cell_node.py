@@ -52,12 +52,12 @@ Parameters = TypeVar("Parameters", bound=NodeParameters)
 LATCHED = QoSProfile(
     depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
 )
-"""For state that late-joining subscribers must receive."""
+"""QoS of state topics: a subscriber that joins later also receives the last message."""
 COMMAND = QoSProfile(
     depth=10, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.VOLATILE
 )
-"""For commands: each one is delivered reliably to the present subscribers, but not to a subscriber
-that joins later."""
+"""QoS of commands: each command is delivered reliably to the present subscribers, but not to a
+subscriber that joins later."""
 BEST_EFFORT_COMMAND = QoSProfile(
     depth=10, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE
 )
@@ -69,7 +69,7 @@ CONNECTION_CHECK_S = 5.0
 SIGNAL_S = 1.0
 """Maximum time from a signal until the context of rclpy is shut down."""
 ROLE = "role"
-"""Key in /diagnostics of a node's role."""
+"""Key of a node's role in /diagnostics."""
 PROFILE_VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
 PROFILES = {True: "fastdds_profile.xml", False: "fastdds_messages.xml"}
 """Fast DDS profile for nodes that transport images (True) and for other nodes (False)."""
@@ -88,10 +88,10 @@ class NotReady(RuntimeError):
 
 
 class CellNode(LifecycleNode, Generic[Parameters]):
-    """Life-cycle node with parameters from one dataclass, which has a field ``autostart``.
+    """Life-cycle node with parameters from one dataclass with a field ``autostart``.
 
     A subclass creates its publishers and subscriptions in its constructor, so that they appear in
-    the graph immediately, and overrides :meth:`configure`, :meth:`activate`, :meth:`deactivate`,
+    the graph immediately. It overrides :meth:`configure`, :meth:`activate`, :meth:`deactivate`,
     :meth:`cleanup`, :meth:`stop_now` and :meth:`health`.
     """
 
@@ -109,7 +109,8 @@ class CellNode(LifecycleNode, Generic[Parameters]):
         self._parameter_class = parameter_class
         self.settings = parameters.read(self, parameter_class)
         self.role = name
-        """Default name of the node. It does not change if ``__node:=`` renames the node."""
+        """Default name of the node. The default name does not change if ``__node:=`` renames the
+        node."""
         self.active = False
         """True while the node may act."""
         self.configured = False
@@ -157,7 +158,7 @@ class CellNode(LifecycleNode, Generic[Parameters]):
         """Stop acting."""
 
     def cleanup(self) -> None:
-        """Close the resources that configure opened. Called at every shutdown, even after a
+        """Close the resources that :meth:`configure` opened. Called at every shutdown, even after a
         failure."""
 
     def stop_now(self) -> None:
@@ -172,8 +173,8 @@ class CellNode(LifecycleNode, Generic[Parameters]):
 
     def port_path(self, port: str) -> Path:
         """Return the path of a port. ``~`` is replaced by the home folder, ``{namespace}`` by the
-        node's namespace, and ``{cell}`` by the result of :func:`key_of`, which contains the ROS
-        domain and the namespace."""
+        node's namespace, and ``{cell}`` by the result of :func:`key_of`. The latter contains the
+        ROS domain and the namespace."""
         port = port.replace("{namespace}", self.get_namespace().strip("/"))
         return Path(port.replace("{cell}", key_of(self))).expanduser()
 
@@ -328,7 +329,7 @@ def run(make_node: Callable[[], CellNode[Any]], arguments: Sequence[str] | None 
     pictures = getattr(make_node, "carries_pictures", True)
     choose_transport(pictures)
     # The default discovery range of ROS is the local network, but a goal from another machine must
-    # not move this arm.
+    # not move the arm of this cell.
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     if pictures:
         keep_memory()
@@ -374,8 +375,8 @@ def _due_to_signal(error: Exception) -> bool:
 
     A signal that arrives during a call of C code raises KeyboardInterrupt there, and the called
     library reports it as an error of its own. A signal also invalidates the context of rclpy, so
-    that any further use of it fails; the thread of the signal handler then shuts the context down
-    soon, which this function waits for.
+    that any further use of this context fails. Soon afterwards, the thread of the signal handler
+    shuts the context down; this function waits for this shutdown.
     """
     cause: BaseException | None = error
     while cause is not None:

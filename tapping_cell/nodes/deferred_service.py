@@ -1,4 +1,4 @@
-"""Service server that can respond after its callback has returned, which rclpy does not support.
+"""Service server that can respond after its callback has returned; rclpy does not support this.
 
 A callback that is a coroutine and waits for its result would block a single-threaded executor.
 """

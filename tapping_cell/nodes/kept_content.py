@@ -1,4 +1,4 @@
-"""Small records that a node stores on disk to survive a crash: the current goal, a stop."""
+"""Small records that a node stores on disk, so that they survive a crash: the goal, a stop."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from tapping_cell.logic.effects import Content
 
 
 class KeptContent:
-    """One JSON file. Its age is the time since its last change or touch."""
+    """One JSON file. The age of the file is the time since its last change or touch."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -32,7 +32,7 @@ class KeptContent:
         part.replace(self._path)
 
     def require_writable(self) -> None:
-        """Raise OSError if content could not be kept."""
+        """Raise OSError if content could not be stored."""
         self._path.parent.mkdir(parents=True, exist_ok=True)
         part = self._path.with_suffix(".part")
         part.write_text("{}", encoding="utf-8")

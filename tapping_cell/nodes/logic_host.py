@@ -131,8 +131,8 @@ class LogicHost(Generic[Machine]):
         answer: Callable[[Any], None],
         feedback: Callable[[Any], None] | None = None,
     ) -> int:
-        """Pass a request to the state machine, which responds now or later. Return the request's
-        token."""
+        """Pass a request to the state machine; the state machine responds now or later. Return the
+        request's token."""
         token = next(self._tokens)
         self._requests[token] = answer
         if feedback is not None:
@@ -329,8 +329,9 @@ class LogicHost(Generic[Machine]):
 
 
 class LogicNode(CellNode[Parameters], Generic[Parameters]):
-    """Node that hosts a state machine, which makes all decisions. A subclass creates ``host`` in
-    its constructor, and passes ``Configured`` to it when it is configured."""
+    """Node that hosts a state machine; the state machine makes all decisions. A subclass creates
+    ``host`` in its constructor, and passes ``Configured`` to ``host`` when the node is
+    configured."""
 
     carries_pictures = False
     host: LogicHost[Any]
@@ -344,12 +345,13 @@ class LogicNode(CellNode[Parameters], Generic[Parameters]):
         self.host.lifecycle(Deactivated())
 
     def cleanup(self) -> None:
-        """Deactivate the state machine, because an orderly shutdown also ends its action."""
+        """Deactivate the state machine, because an orderly shutdown also ends the machine's current
+        action."""
         self.host.lifecycle(ShutDown())
         self.host.close()
 
     def on_emergency_stop(self, message: Bool) -> None:
-        """Pass a stop message to the state machine, which stops immediately."""
+        """Pass a stop message to the state machine; the state machine stops immediately."""
         self.host.receive(stops.TOPIC, messages.Bool(data=message.data))
 
 

@@ -1,4 +1,4 @@
-"""Model of the camera and its node in virtual time, which publishes ``object_state`` per frame.
+"""Model of the camera and its node in virtual time; publishes ``object_state`` for each frame.
 
 The pose in each frame is the ground truth with noise. Rest, fusion and covariance are computed by
 the tracker of the product (``vision.rest_detection``). No images are rendered.
@@ -20,8 +20,8 @@ from tapping_cell.verification.scheduler import Scheduler
 from tapping_cell.vision.rest_detection import RestSettings, Track
 
 PERIOD_S = 1 / 15
-"""Frame period, s. The frame rate is half that of the real camera, which halves the processor time
-of a run."""
+"""Frame period, s. The frame rate is half that of the real camera, so that a run needs only half of
+the processor time."""
 LATENCY_S = 0.02
 """Time from the exposure to the publication of the pose."""
 SILENCE_LIMIT_S = 0.4
@@ -43,7 +43,7 @@ class CameraFaults:
 
 
 class Camera:
-    """Publishes ``object_state`` through ``publish`` while its process is alive.
+    """Publishes ``object_state`` through ``publish`` while the process of the camera's node runs.
 
     ``observe`` returns the true pose of the object at a time, or None while something covers it.
     ``ros_now`` returns the ROS time (ns) of the camera's computer. ``sigma``: standard deviation of

@@ -3,7 +3,7 @@
 The error code must name a true cause. A fault of one device does not explain a code of the other
 device. Kinds of faults that can affect both devices are therefore recorded with the name of the
 affected device or node. If none of the faults that explain the code can still act, the cell has
-reported a wrong cause, which is a violation.
+reported a wrong cause; this counts as a violation.
 """
 
 from __future__ import annotations
@@ -154,8 +154,8 @@ EXPLAINED_BY: dict[int, frozenset[str]] = {
     ErrorCode.TAP_LIMIT_REACHED: CAMERA | FOREIGN,
     ErrorCode.TAP_WITHOUT_ROTATION: CAMERA | FOREIGN,
 }
-"""For each error code of a goal, the kinds of faults that can cause it. When a goal ends with the
-code, at least one of these faults must have been injected."""
+"""For each error code of a goal, the kinds of faults that can cause this code. When a goal ends
+with the code, at least one fault of these kinds must have been injected."""
 CONDITIONS = frozenset(
     {
         ErrorCode.NONE,

@@ -1,4 +1,4 @@
-"""The arm's driver, with a check after each move that it calls completed."""
+"""The arm's driver, with a check after each move that the driver reports as completed."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from tapping_cell.hardware.scara import Joints
 
 
 class CheckedArm:
-    """Driver of the arm that passes the target of each completed move to ``check``."""
+    """Arm driver that passes the target of each completed move to ``check``."""
 
     def __init__(self, driver: ArmDriver, check: Callable[[Joints], None]) -> None:
         self._driver = driver

@@ -33,7 +33,8 @@ class ControllerCell:
     """One emulated controller with its arm, and the driver.
 
     ``settings`` are controller settings that differ from those of the simulated arm. ``change``
-    returns a modified copy of the emulated machine (only controllers of the Grbl family).
+    returns a modified copy of the emulated machine; it is used only for controllers of the Grbl
+    family.
     """
 
     def __init__(

@@ -25,8 +25,8 @@ from tapping_cell.verification.controller_cell import GRBL_NAMES, HOME, NAMES, C
 FAR = (1.5, 0.5, -0.1, 1.0)
 FAR_SPEED = 0.3
 LATEST = 0.7
-"""Faults occur during a move to ``FAR``, at most this long after it starts, s. The move takes
-longer."""
+"""Maximum time from the start of a move to ``FAR`` to a fault during this move, s. The whole move
+takes longer than this time."""
 CLOSE = 1e-3
 """Maximum difference between the true joints and their target, rad or m."""
 STILL = 0.02
@@ -80,8 +80,8 @@ def run_faults(name: str, kind: str, count: int, seed: int) -> Outcome:
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """One kind of fault. ``findings``: label of the review finding that it reproduces, as shown in
-    the benchmark's results; empty if there is none."""
+    """One kind of fault. ``findings``: label of the review finding that the fault reproduces, as
+    shown in the benchmark's results; empty if there is none."""
 
     run: Callable[[ControllerCell, np.random.Generator], None]
     findings: str = ""

@@ -56,7 +56,7 @@ class FaultTarget(Protocol):
         """Choose a random goal in the central area of the table."""
 
     def send_goal(self, goal: Pose, foreign: bool = False) -> None:
-        """Send an action goal to the planner if its process is alive."""
+        """Send an action goal to the planner if the planner's process is running."""
 
     def cancel_goal(self) -> None:
         """Cancel the action goal."""
@@ -71,10 +71,11 @@ class FaultTarget(Protocol):
         """Shut a process down; it restarts after ``away`` s."""
 
     def start_second(self, node: str, lasting: float) -> None:
-        """Start a second instance of a node, as by mistake, and kill it after ``lasting`` s."""
+        """Start a second instance of a node, as if by mistake, and kill this instance after
+        ``lasting`` s."""
 
     def hide_object(self, duration: float) -> None:
-        """Hide the object, as by a hand, for ``duration`` s."""
+        """Hide the object for ``duration`` s, as if a hand covered it."""
 
     def move_object(self, shift: Pose, duration: float = 0.0) -> None:
         """Move the object by hand, within the central area of the table; ``duration`` in s."""
@@ -83,13 +84,14 @@ class FaultTarget(Protocol):
         """Hold the emergency stop of the panel for ``duration`` s."""
 
     def interrupt_tapper_power(self) -> None:
-        """Interrupt the power of the tapper's board, which also loses its latched stop."""
+        """Interrupt the power of the tapper's board, so that the board also loses its latched
+        stop."""
 
     def interrupt_arm_power(self) -> None:
-        """Interrupt the power of the arm's board, which loses its position."""
+        """Interrupt the power of the arm's board, so that the board loses the arm's position."""
 
     def turn_arm_motors_off(self) -> None:
-        """Switch the arm's motors off, as by a sleep command, so that the quill sinks."""
+        """Switch the arm's motors off, as a sleep command does, so that the quill sinks."""
 
     def turn_tapper_motor_off(self, duration: float) -> None:
         """Switch the tapper's motor off for ``duration`` s, so that its steps have no effect."""

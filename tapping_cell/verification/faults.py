@@ -61,7 +61,8 @@ ALL = Mix()
 
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """The n-th occurrence of an event in a goal; n is ``times``. The trial reports ``name``."""
+    """The n-th occurrence of an event in a goal; n is ``times``. The trial reports the event by its
+    ``name``."""
 
     name: str
     times: int
@@ -162,7 +163,7 @@ def _freeze(rng: np.random.Generator, trial: FaultTarget) -> Made:
 
 
 def _freeze_at_shot(rng: np.random.Generator, trial: FaultTarget) -> Made:
-    """Freeze a node for about as long as the arm promises to stand still."""
+    """Freeze a node for about the time for which the arm promises to stand still."""
     node = _pick(rng, ("tapper_trigger", "tapper_trigger", trial.arm_node, "tap_planner"))
     duration = float(rng.uniform(0.02, 0.6))
     return lambda t: t.freeze(node, duration), f"{node} frozen for {duration:.3f} s"
@@ -296,8 +297,8 @@ def _foreign_command(rng: np.random.Generator, trial: FaultTarget) -> Made:
 
 
 def _foreign_outcome(rng: np.random.Generator, trial: FaultTarget) -> Made:
-    """Another node claims that the shot is over: it forges a tapper state or ends the arm's
-    promise."""
+    """Another node falsely reports that the shot is over: this node forges a tapper state or ends
+    the arm's promise to stand still."""
     fired, by_service = bool(rng.random() < 0.5), bool(rng.random() < 0.5)
 
     def strike(t: FaultTarget) -> None:
@@ -315,9 +316,10 @@ def _foreign_outcome(rng: np.random.Generator, trial: FaultTarget) -> Made:
 
 
 def _foreign_hold(rng: np.random.Generator, trial: FaultTarget) -> Made:
-    """Another node requests ``hold_still`` for a tap, and ends the promise to stand still early. It
-    may claim before to be the tapper. It may then also report that the tap is over and withdraw the
-    tap; the arm receives the withdrawal immediately, but the tapper receives it late."""
+    """Another node requests ``hold_still`` for a tap, and ends the promise to stand still early.
+    Before the request, the node may claim to be the tapper. After the promise, it may also report
+    that the tap is over and withdraw the tap; the arm receives this withdrawal immediately, but the
+    tapper receives it late."""
     back, duration = int(rng.integers(0, 2)), float(rng.uniform(0.01, 0.3))
     later, late = draw_duration(rng, 0.001, 0.05), float(rng.uniform(0.03, 0.6))
     sends, claims = rng.random() < 0.7, bool(rng.random() < 0.3)
@@ -445,7 +447,7 @@ def _slow_answer(rng: np.random.Generator, trial: FaultTarget) -> Made:
 
 
 def _received_by_one(rng: np.random.Generator, trial: FaultTarget) -> Made:
-    """A message is received by one node immediately and by the others late."""
+    """A message is received by one node immediately, and by all other nodes late."""
     kind = _pick(rng, ONE_SIDED)
     what, description = MAKERS[kind](rng, trial)
     first = _pick(rng, ("scara_arm", *NODES))
@@ -588,8 +590,8 @@ def _clock_step(rng: np.random.Generator, trial: FaultTarget) -> Made:
 
     def strike(t: FaultTarget) -> None:
         t.clocks[node].offset += step
-        # A node estimates the clock of another node from the messages of the last ``WINDOW_S``, so
-        # its estimate is still wrong for this time after the clock was set back.
+        # A node estimates the clock of another node from the messages of the last ``WINDOW_S``.
+        # After the clock was set back, the estimate therefore remains wrong for this time.
         t.note_disturbance(lasting + WINDOW_S)
         t.scheduler.after(lasting, back(t))
 
@@ -632,7 +634,8 @@ def _shot_line(rng: np.random.Generator, trial: FaultTarget) -> Made:
 
 
 def _power(rng: np.random.Generator, trial: FaultTarget) -> Made:
-    """A board loses its power for a moment; if it is unplugged, its port disappears as well."""
+    """A board loses its power for a moment. If the board is unplugged, its port disappears as
+    well."""
     name, way = _pick(rng, ("arm", "tapper")), Direction.TO_HOST
     unplugged, lasting = name == "arm" and bool(rng.random() < 0.5), draw_duration(rng, 0.3, 3.0)
 
@@ -810,4 +813,4 @@ AT_A_SHOT = (
     *("foreign trajectory", "foreign hold", "foreign flood", "second arm") * 2,
 )
 """Kinds of faults around a shot. Some kinds are listed several times, so that they are drawn more
-often: they make two nodes observe different states."""
+often, because these kinds make two nodes observe different states."""

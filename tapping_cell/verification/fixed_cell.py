@@ -90,7 +90,7 @@ class PhysicalFixedCell(PhysicalCell):
         return False
 
     def view(self, time: float) -> Pose | None:
-        """Return the true pose of the object, which nothing hides."""
+        """Return the true pose of the object; nothing hides the object."""
         return self.object_pose(time)
 
     def flight(self, speed: float) -> float:
@@ -103,7 +103,7 @@ class PhysicalFixedCell(PhysicalCell):
         self._at_each(lambda board, now: board.press_clear_button(now))
 
     def set_interlock(self, closed: bool) -> None:
-        """Open or close the guard, whose switch every board reads."""
+        """Open or close the guard. Every board reads the guard's switch."""
         self._at_each(lambda board, now: board.set_interlock(closed, now))
 
     def keep_out(self, tapper: str, out: bool) -> None:
@@ -117,7 +117,7 @@ class PhysicalFixedCell(PhysicalCell):
         self.lines[number].schedule()
 
     def block(self, tapper: str, blocked: bool) -> None:
-        """Block a striker, so that it stays at its mount when it is released, or unblock it."""
+        """Block or unblock a striker. A blocked striker remains at its mount when released."""
         number, channel = self.place_of(tapper)
         self.boards[number].coils.block(channel, blocked)
         self.lines[number].schedule()

@@ -50,7 +50,7 @@ GOALS = ((0.0, 0.0), (0.020, -0.015), (-0.025, 0.010))
 compute the policy for each goal position."""
 TURN_RAD = 1.0
 """Maximum rotation from the object's pose to a goal, rad. The solver of these runs uses only the
-coarsest grid, with which it may find no solution for half a turn."""
+coarsest grid. On this grid, the solver may find no solution for half a turn."""
 NEAR_M = 0.045
 """Maximum distance from the middle of the working area at which a person puts the object, m."""
 
@@ -69,7 +69,8 @@ def shipped_fixed_cell(boards: int) -> Cell:
 
 @cache
 def _solver() -> GoalSolver:
-    """Return the solver that all runs of this process share; it uses the coarsest grid only."""
+    """Return the solver that all runs of this process share; this solver uses only the coarsest
+    grid."""
     return GoalSolver(finer=())
 
 
@@ -192,7 +193,7 @@ class FixedTrial(Trial):
         command.strike_pose, command.predicted_pose = model.strike_pose, model.predicted_pose
 
     def _publish_conflicting(self, command: TapCommand, conflicting: TapCommand) -> None:
-        """Have two programs command two tappers with the same id."""
+        """Have two programs send commands with the same tap id to two tappers."""
         entries = self.cell.fixed_tappers.tappers
         entry = entries[int(self.rng.integers(len(entries)))]
         conflicting.tapper = entry.name

@@ -1,7 +1,7 @@
-"""Process in virtual time, which runs one state machine of ``logic`` as its ROS node does.
+"""Process in virtual time; runs one state machine of ``logic`` as the machine's ROS node does.
 
-A process can be frozen (messages received meanwhile are handled afterwards), killed at any event,
-and restarted with the files that it has stored.
+A process can be killed at any event, and restarted with the files that it has stored. It can also
+be frozen: messages received during the freeze are handled after the freeze.
 """
 
 from __future__ import annotations
@@ -95,8 +95,8 @@ _PLAIN = frozenset(("int", "float", "str", "bool", "bytes"))
 
 @dataclass(slots=True)
 class HostClock:
-    """Steady clock and ROS clock of one computer. At t s from the start of the run, its ROS time is
-    ``epoch`` + (1 + ``drift``) t + ``offset``, in s."""
+    """Steady clock and ROS clock of one computer. At t s from the start of the run, the computer's
+    ROS time is ``epoch`` + (1 + ``drift``) t + ``offset``, in s."""
 
     scheduler: Scheduler
     offset: float = 0.0
@@ -113,7 +113,7 @@ class HostClock:
 
 @dataclass(slots=True)
 class Disk:
-    """Data that a process has stored on disk and that remain when it ends."""
+    """Data that a process has stored on disk and that remain when the process ends."""
 
     goal: Content | None = None
     goal_touched: float = -math.inf
@@ -125,8 +125,8 @@ class Disk:
 class Program:
     """Program of a process: a state machine, optionally with a driver on serial lines.
 
-    ``connect(driver, patience, now)`` configures the node. ``topics`` are the topics that it
-    subscribes to, ``services`` the services that it offers.
+    ``connect(driver, patience, now)`` configures the node. ``topics`` are the topics that the
+    program subscribes to, ``services`` the services that the program offers.
     """
 
     make: Callable[[], tuple[Logic, Any]]
@@ -208,7 +208,7 @@ class Process:
 
     @property
     def starts(self) -> int:
-        """Total number of starts and kills of the process so far."""
+        """Sum of the number of starts and the number of kills of the process so far."""
         return self._life
 
     def start(self) -> None:
@@ -445,7 +445,7 @@ class Process:
             self._stop_publishers.clear()
         self._when_awake(lambda: self._handle(self.logic.on_answer, token, answer))
 
-    # Coming up, and ticks
+    # Start of the node, and timer events
 
     def _configure(self, life: int) -> None:
         """Configure a node that has no device. No waiting is necessary."""

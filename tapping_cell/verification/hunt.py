@@ -14,8 +14,9 @@ from tapping_cell.verification.mutants import MUTANTS, plant
 
 
 def main() -> int:
-    """Apply the mutant, run goals until a violation occurs or ``--goals`` goals have been run, and
-    print the number of goals and the name of the violated invariant (empty if none) as JSON."""
+    """Apply the mutant, and run goals until a violation occurs or ``--goals`` goals have been run.
+    Print the number of goals and the name of the violated invariant (empty if no violation
+    occurred) as JSON."""
     parser = argparse.ArgumentParser(description=__doc__)
     known = (*MUTANTS, *FIXED_MUTANTS)
     parser.add_argument("name", choices=[mutant.name for mutant in known])

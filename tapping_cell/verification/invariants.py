@@ -37,14 +37,15 @@ _OUTCOMES = {
 }
 
 WINDOW_S = 0.1
-"""Maximum time from an event that forbids a release to a release, s. The command FIRE may already
-have been sent at the event, so this maximum is the board's longest firing window."""
+"""Maximum time from an event that forbids releases to a release that may still follow, s. The
+command FIRE may already have been sent at the event, so this maximum is the board's longest firing
+window."""
 STRIKE_POSITION_M = 0.0025
 STRIKE_ANGLE_RAD = 0.01
 """Maximum deviations of the tip's true pose from its commanded pose at a release, m and rad. They
 allow for the errors of the arm."""
 ENERGY_SHARE = 0.03
-"""Maximum relative deviation of the energy of a release from the requested one."""
+"""Maximum relative deviation of the energy of a release from the requested energy."""
 STRIKE_HEIGHT_M = 0.0005
 BUMP_M = 0.004
 BUMP_RAD = math.radians(6.0)
@@ -69,23 +70,23 @@ ORPHAN_S = 1.5
 heartbeat has timed out."""
 HOMED_S = 3.0
 """Maximum time for which the arm may still be reported as homed after it has lost its reference, s.
-This maximum allows for bytes that arrive late on the line. If the arm's process is frozen
-meanwhile, the time begins at the end of the freeze."""
+This maximum allows for bytes that arrive late on the line. If the arm's process is frozen during
+this time, the time begins at the end of the freeze."""
 ARM_SILENCE_S = 0.3
 """Maximum time from the last arm_state that the tapper received to a release, s. The check adds
 ``WINDOW_S``."""
 FUTURE_S = 9.0
 """Time for which the tapper must not fire after it has received a stamp that is more than
-``SKEW_LIMIT_S`` ahead of its clock, s. It estimates the clocks from the messages of the last
-10 s."""
+``SKEW_LIMIT_S`` ahead of its clock, s. The tapper estimates the differences between the clocks from
+the messages of the last 10 s."""
 WAIT_SLACK_S = 1.0
 """Maximum time by which the planner may exceed the time limit of a waiting state, s."""
 CHARGE_AGE_S, CARRIED_S = 0.65, 2.5
 """The arm must not begin to move within ``CHARGE_AGE_S`` (s) after it has received a report that
 the striker is charged, unless the striker has been charged for longer than ``CARRIED_S`` (s)."""
 CONTINUED_S = 0.05
-"""Maximum time for which the arm may still begin a part of its way to a strike pose after it has
-taken in that the tap was withdrawn, s."""
+"""Maximum time from when the arm has processed the withdrawal of a tap until it begins a further
+part of its way to the strike pose, s."""
 ROUNDING_S = 1e-6
 """Tolerance for the rounding of times on the processes' clocks."""
 MOVE_TOLERANCE = Joints(0.005, 0.005, 0.0005, 0.01)
@@ -130,44 +131,44 @@ class InvariantChecker:
     """Whether a person has allowed motion since the last crash, stop or loss of power."""
     hidden_since: float = math.inf
     moved_by_hand: tuple[float, Pose] | None = None
-    """Time at which the object was last moved by hand, and its pose before."""
+    """Time at which the object was last moved by hand, and the object's pose before this motion."""
     held_since: float = math.inf
     """Time since which the panel's emergency stop has been held."""
     planner_gone_since: float = math.inf
-    """Time since which the planner's process has not existed."""
+    """Time at which the planner's process ended; inf while the process exists."""
     promises: dict[tuple[int, int], float] = field(default_factory=dict)
     """End of each of the arm's promises to stand still, by the tap id and key of the request."""
     keys_of_tapper: set[int] = field(default_factory=set)
-    """Keys that the tapper has drawn. Only a request with one of them can end the arm's promise
+    """Random keys of the tapper. Only a request with one of these keys can end the arm's promise
     early."""
     last_check: tuple[float, object | None] = (-math.inf, "no check was made")
-    """Time of the last check that the tapper's state machine made before FIRE, and the reason for
-    which it refused the shot (None: it did not refuse)."""
+    """Time of the last check that the tapper's state machine made before FIRE. If the check refused
+    the shot, also the reason, otherwise None."""
     motor_weak_until: float = -math.inf
     """Time until which the tapper's motor may have lost steps due to missing power."""
     unseen_limit: float = 0.0
     """Maximum time from a change of the scene (the object is moved or hidden) to a release, s. This
-    maximum is the sum of the time for which the object may be unseen and an allowance for delayed
-    messages and the board's firing window."""
+    maximum is the sum of two times: the time for which the object may be unseen, and an allowance
+    for delayed messages and for the board's firing window."""
     seen_by_tapper: deque[tuple[float, Pose]] = field(default_factory=lambda: deque(maxlen=100))
     """Poses of the object that the tapper's process received, each with the time of receipt."""
     motion_seen_by_tapper: bool = False
     """Whether the object moved in the last observation that the tapper's process received."""
     taken_by_tapper: dict[int, list[TapCommand]] = field(default_factory=dict)
-    """TAP commands that the tapper's process received, by id. Another command with the same id may
-    have reached only other nodes; the tapper must not execute that one."""
+    """TAP commands that the tapper's process received, by id. If another command with the same id
+    has reached only other nodes, the tapper must not execute that other command."""
     planners: set[int] = field(default_factory=set)
     """Ids of the taps that the planner has commanded."""
     planner_received: float = -math.inf
     """Time at which the tapper's process last received a message of the planner."""
     planner_waits: bool = False
-    """Whether the planner has reported that it waits for its tap after the tapper's process had
-    received the last TAP."""
+    """Whether, since the tapper's process received the last TAP, the planner has reported that it
+    waits for its tap."""
     camera_received: float = math.inf
     """Time at which the tapper's process last received a usable observation."""
     planner_gave_up: float = math.inf
-    """Time since which the messages of the planner that the tapper's process received say that it
-    no longer waits for its tap; inf while it waits or has never waited."""
+    """Time since which the planner's messages that the tapper's process received say that the
+    planner no longer waits for its tap; inf while the planner waits or has never waited."""
     future_commands: set[int] = field(default_factory=set)
     """Ids of the TAP commands whose stamp was too far in the future when the tapper's process
     received them."""
@@ -176,7 +177,7 @@ class InvariantChecker:
     arm."""
     future_received: dict[str, tuple[float, float]] = field(default_factory=dict)
     """For each topic, the time at which the tapper's process last received a stamp too far in the
-    future, and the offset of its clock at that time, s."""
+    future, and the offset of the process's clock at that time, s."""
     seen_moving: bool = False
     """Whether the object moved in the last observation that the planner's process received."""
     deadlines: dict[int, float] = field(default_factory=dict)
@@ -187,9 +188,9 @@ class InvariantChecker:
     """Maximum age of the last pose of the object that the tapper has received, s. If the pose is
     older, the tapper itself must refuse to fire."""
     charge_received: float = -math.inf
-    """Time at which the arm's process last received that the striker is charged."""
+    """Time at which the arm's process last received a report that the striker is charged."""
     _struck_until: float = -math.inf
-    """Time at which the striker that was released last reaches the end of its stroke."""
+    """Time at which the most recently released striker reaches the end of its stroke."""
     _asked_to_move: bool = True
     _released: int = 0
     _charged_since: float | None = None
@@ -338,7 +339,8 @@ class InvariantChecker:
     def _command_of(self, release: Release) -> TapCommand | None:
         """Return the command that caused a release. If several commands have its id (two planners
         were started by mistake), return the command whose strike pose and energy are closest to
-        those of the release; of several for the same strike, the one that expires last."""
+        those of the release. If several commands are for the same strike, return the command
+        that expires last."""
 
         def difference(command: TapCommand) -> tuple[float, int]:
             pose = from_message(command.strike_pose)
@@ -535,11 +537,11 @@ class InvariantChecker:
             self.stopped_at["scara_arm"] = math.inf
 
     def _check_striker(self) -> None:
-        """Check that the arm begins no motion with a charged striker, except a motion to a strike
-        pose."""
+        """Check that, while the striker is charged, the arm begins no motion other than a motion to
+        a strike pose."""
         now = self.scheduler.now
-        # The arm may still send the next part of its way to the strike pose while it takes in that
-        # the tap was withdrawn.
+        # The arm may still send the next part of its way to the strike pose while it processes the
+        # withdrawal of the tap.
         placing = self._arm[0] == ArmState.MOVING or now <= self._placed_until + CONTINUED_S
         if self._charged_since is None or placing:
             return
@@ -552,8 +554,8 @@ class InvariantChecker:
             )
 
     def check_move(self, target: Joints) -> None:
-        """Check that the arm truly stands at the target of a move that its driver calls completed,
-        unless its board has lost its position."""
+        """Check that the arm truly stands at the target of a move that its driver reports as
+        completed. Do not check this if the arm's board has lost its position."""
         if math.isfinite(self.unhomed_since):
             return
         found = self.physical.joints(self.scheduler.now)

@@ -1,9 +1,9 @@
 """Mutation tests: defects that are inserted into the product's code. The invariants must detect
 each defect.
 
-If a mutant is not detected, the guard that it disables has no effect, or no invariant checks this
-effect. A mutant is a small replacement in the source of one module, applied while the module is
-imported. The files on disk are not changed.
+If a mutant is not detected, either the guard that the mutant disables has no effect, or no
+invariant checks this effect. A mutant is a small replacement in the source of one module, applied
+while the module is imported. The files on disk are not changed.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from types import ModuleType
 
 @dataclass(frozen=True, slots=True)
 class Mutant:
-    """A replacement of ``old``, which occurs exactly once in the module's source, by ``new``."""
+    """A replacement of ``old`` by ``new``; ``old`` occurs exactly once in the module's source."""
 
     name: str
     module: str
@@ -513,7 +513,7 @@ class _Loader(importlib.machinery.SourceFileLoader):
 
 
 class _Finder(importlib.abc.MetaPathFinder):
-    """Finder for the modules of mutants, which takes precedence over all other finders."""
+    """Finder for the modules of mutants. It takes precedence over all other finders."""
 
     def __init__(self, mutants: Sequence[Mutant]) -> None:
         self._mutants = mutants

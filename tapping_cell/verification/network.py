@@ -41,7 +41,7 @@ class LinkFaults:
 
 @dataclass(slots=True, eq=False)
 class _Link:
-    """Connection of a topic to one subscriber, which preserves the order of the messages."""
+    """Connection of a topic to one subscriber. It preserves the order of the messages."""
 
     subscriber: str
     deliver: Deliver
@@ -80,7 +80,8 @@ class Network:
 
     def publish(self, node: str, topic: str, message: Any, only: str = "") -> None:
         """Send a message to all subscribers of the topic. ``only``: the one node that receives the
-        message; it is lost for all other nodes, as can happen with best-effort delivery."""
+        message; the message is lost for all other nodes, as can happen with best-effort
+        delivery."""
         self.on_publish(node, topic, message)
         self.history.setdefault(topic, deque(maxlen=20)).append(message)
         if self._quality(topic).latched:

@@ -73,7 +73,8 @@ class Scheduler:
     ) -> Timer:
         """Schedule ``action`` at ``time``, or immediately if that time has passed.
 
-        ``in_main``: run the action outside all fibers, which is necessary if it kills one.
+        ``in_main``: run the action outside all fibers. This is necessary if the action kills a
+        fiber.
         ``fiber``: the fiber that continues after the action.
         """
         timer = Timer(max(time, self.now), action, in_main, fiber)
@@ -160,8 +161,8 @@ class Scheduler:
             fiber.baton.acquire()
 
     def end(self, fiber: Fiber) -> None:
-        """Let a killed fiber run until it has ended; re-raise the exception that ended it, if
-        any."""
+        """Let a killed fiber run until it has ended. If an exception ended the fiber, raise this
+        exception again."""
         if threading.get_ident() != self._main:
             raise RuntimeError("only an event in the main thread may end a fiber")
         fiber.baton.release()
@@ -169,8 +170,8 @@ class Scheduler:
         self._raise_failure()
 
     def ended(self, failure: BaseException | None) -> None:
-        """Return control to the main thread, which waits in ``end`` for a killed fiber. The fiber
-        calls this method when it has ended."""
+        """Return control to the main thread while the main thread waits in ``end`` for a killed
+        fiber. The fiber calls this method when it has ended."""
         self._failure = failure
         self._baton.release()
 

@@ -118,8 +118,8 @@ CAMERA_SIGMA = (5e-6, 5e-6, 5e-5)
 """Standard deviation of the pose in one frame: m, m, rad."""
 COVERED_S, CLEAR_VIEW_S = 4.0, 0.45
 """Maximum times for which the object may be unseen before a shot, s. The first one applies if the
-arm can cover the object, which takes up to 3.4 s on the way to a strike pose. The second one
-applies if the arm cannot cover the object."""
+arm can cover the object; on the way to a strike pose, the arm then covers the object for up to
+3.4 s. The second one applies if the arm cannot cover the object."""
 NOTICED_S = 0.7
 """Addition to ``COVERED_S`` and ``CLEAR_VIEW_S`` that allows for delayed messages and for the
 board's firing window, s."""
@@ -127,37 +127,37 @@ GOAL_TIME_LIMIT_S = 120.0
 SHARE_OF_SHORT_LIMITS, SHORT_LIMIT_S = 0.2, (2.0, 25.0)
 """Fraction of the runs whose goals have a short time limit, and the range of that limit in s."""
 SHARE_OF_ONE_FRAME = 0.25
-"""Fraction of the runs whose planner decides on a single frame of the object at rest."""
+"""Fraction of the runs in which the planner decides on a single frame of the object at rest."""
 PROGRAM_TAPS = 1.0
 """Mean number of taps that a program commands after each goal."""
 SHARE_OF_CONFLICTS = 0.1
-"""A program commands taps after each goal. For this fraction of them, a second program commands
-another tap with the same id."""
+"""Fraction of the taps of the program for which a second program commands another tap with the same
+id. The program commands taps after each goal."""
 PROGRAM_TIMEOUT_S, PROGRAM_EXPIRY_S = 12.0, 10.0
+"""Time for which the program waits for the outcome of its tap, and time until the tap expires."""
 SHARE_OF_STOPS_AT_A_CLEAR, STOP_AT_A_CLEAR_S = 0.1, 0.5
-"""Fraction of the requests to clear a node during which somebody stops it again, and the maximum
-time from the request to the stop, s."""
+"""Fraction of the requests to clear a node after which somebody stops the node again, and the
+maximum time from the request to this stop, s."""
 SHARE_OF_SHORT_EXPIRIES, SHORT_EXPIRY_S = 0.1, (0.2, 4.0)
 """Fraction of the taps of other programs that expire soon, and the range of their expiry, s."""
 SHARE_OF_FUTURE_STAMPS, FUTURE_STAMP_S = 0.05, (1.5, 3600.0)
-"""Fraction of the taps of other programs with a stamp in the future, and the range by which it lies
-ahead, s."""
-"""Time for which the program waits for the outcome of its tap, and time until the tap expires."""
+"""Fraction of the taps of other programs with a stamp in the future, and the range by which this
+stamp is ahead of the clock, s."""
 GOAL_SLACK_S = 5.0
-"""Maximum time from a goal's time limit to its end, if the planner's process is alive."""
+"""Maximum time from a goal's time limit to the goal's end, if the planner's process is running."""
 STOP_DELIVERY_S = 0.1
 """Maximum time from the delivery of a stop to the tapper's process until its board has stopped."""
 BAD_LINE_S = 15.0
 """Time within which the driver must detect a fault of its serial line and open the line again,
 s."""
 HAND_STEP_S = 1 / 60
-"""A hand that moves the object slowly does so in small steps, one per this time, s."""
+"""Time between the small steps in which a hand moves the object slowly, s."""
 RECOVERY_S = 90.0
 """Maximum time for a person to recover the cell before the next goal."""
 
 
 DIALECTS = ("grbl", "grbl", "marlin")
-"""Controllers of the arm; the seed selects one. After a loss of power Marlin has no alarm."""
+"""Controllers of the arm; the seed selects one. After a loss of power, Marlin raises no alarm."""
 
 
 @cache
@@ -214,7 +214,7 @@ class Trial:
     of_a_shot: tuple[str, ...] = OF_A_SHOT
     moments: tuple[str, ...] = MOMENTS
     further_causes: Mapping[int, frozenset[str]] = {}
-    """Kinds of faults that explain an error code in addition to those of ``causes``."""
+    """Kinds of faults that explain an error code, in addition to the kinds in ``causes``."""
 
     def __init__(
         self,
@@ -301,8 +301,9 @@ class Trial:
         self._result: PositionObject.Result | None = None
         self._pressed_until = -math.inf
         self._handled_late: set[str] = set()
-        """Frozen processes that were asked to clear while the emergency stop was held. They handle
-        this request when they continue; it is valid if the stop has been released by then."""
+        """Frozen processes that were asked to clear while the emergency stop was held. These
+        processes handle the request when they continue; the request is valid if the stop has been
+        released by then."""
         self._waiting_faults: list[Fault] = []
         self._taken: dict[int, Time] = {}
         """Stamp of the last TAP command with each tap id that the tapper's process has handled."""
@@ -310,7 +311,7 @@ class Trial:
         self._checked_tap = 0
         """Id of the last tap whose TAPPER_FAULT was checked."""
         self._struck_before = False
-        """Whether the previous goal or tap had faults, which may last into the next one."""
+        """Whether the previous goal or tap had faults. These may still have an effect now."""
         self._moments: Counter[str] = Counter()
         self._states: dict[str, int] = {}
         self._last_reports: dict[tuple[str, str], str] = {}
@@ -340,8 +341,8 @@ class Trial:
         return self.physical.arm_line, self.physical.tapper_line
 
     def _busy_lines(self) -> tuple[SerialLine, ...]:
-        """Return the lines for ``_programs`` of a second instance of a node. They cannot be opened,
-        because the first instance uses them."""
+        """Return the lines for ``_programs`` of a second instance of a node. These lines cannot be
+        opened, because the first instance uses them."""
         physical = self.physical
         return (
             BusyLine(self.scheduler, physical.arm_line.layer, "arm"),
@@ -460,8 +461,8 @@ class Trial:
         return Pose(float(x), float(y), float(rng.uniform(-0.6, 0.6)))
 
     def next_goal(self, number: int) -> Pose:
-        """Choose the next goal at random. In 80 % of the cases it is near the object, as in the
-        paper's task."""
+        """Choose the next goal at random. In 80 % of the cases, the goal is near the object, as in
+        the paper's task."""
         rng = self.rng
         true = self.physical.object_pose(self.scheduler.now)
         goal = self.draw_goal(rng)
@@ -509,8 +510,8 @@ class Trial:
         last = max((fault.time for fault in faults if fault.moment is None), default=0.0)
         self.scheduler.run(max(self.scheduler.now, began + last) + 0.5)
         result = self._result
-        # A fault of the previous goal may last into this one. An inactive planner refuses goals at
-        # once, so several goals may end before it is active again.
+        # A fault of the previous goal may still have an effect during this goal. An inactive
+        # planner refuses goals at once, so several goals may end before it is active again.
         quiet = not (faults or self._struck_before)
         self._struck_before = bool(faults)
         quiet = quiet and active and began > self._disturbed_until
@@ -637,7 +638,8 @@ class Trial:
 
     def _causes(self, code: int) -> set[str]:
         """Return the kinds of injected faults that are recent enough to be the cause of a code."""
-        # A fault of a line happens at a certain byte, long after it was injected if the line rests.
+        # A fault of a line happens at a certain byte. If the line is idle, this is long after the
+        # fault was injected.
         happened = [
             (at, f"serial line of the {device}")
             for device, line in self._lines_by_device()
@@ -662,8 +664,8 @@ class Trial:
     # Actions of people
 
     def send_goal(self, goal: Pose, foreign: bool = False) -> None:
-        """Send an action goal to the planner if its process is alive. ``foreign``: publish the goal
-        of a second client instead."""
+        """Send an action goal to the planner if the planner's process is running. ``foreign``:
+        publish the goal of a second client instead."""
         message = PoseStamped(pose=to_message(goal))
         message.header.frame_id = "table"
         process = self.processes["tap_planner"]
@@ -744,7 +746,8 @@ class Trial:
                 self.checker.planner_gone_since = math.inf
 
     def start_second(self, node: str, lasting: float) -> None:
-        """Start a second instance of a node, as by mistake, and kill it after ``lasting`` s.
+        """Start a second instance of a node, as if by mistake, and kill this instance after
+        ``lasting`` s.
 
         The second instance finds its device's port in use. Only the first instance answers service
         requests.
@@ -766,7 +769,7 @@ class Trial:
         self.scheduler.after(lasting, second.kill, in_main=True)
 
     def hide_object(self, duration: float) -> None:
-        """Hide the object, as by a hand, for ``duration`` s."""
+        """Hide the object for ``duration`` s, as if a hand covered it."""
         now = self.scheduler.now
         if now >= self._hidden_until:
             self.checker.hidden_since = now
@@ -823,7 +826,7 @@ class Trial:
 
     def _home_too_early(self) -> None:
         if math.isinf(self.checker.held_since):
-            # The stop has been released meanwhile, so these calls are valid.
+            # The stop has been released since then, so these calls are valid.
             for node in self.devices:
                 self._clear_stop(node)
             self.checker.motion_allowed = True
@@ -831,13 +834,14 @@ class Trial:
             self.call_service("scara_arm", "~/home")
 
     def interrupt_tapper_power(self) -> None:
-        """Interrupt the power of the tapper's board, which also loses its latched stop."""
+        """Interrupt the power of the tapper's board, so that the board also loses its latched
+        stop."""
         self.tapper_power_lost_at = self.scheduler.now
         self.physical.tapper_board.power_cycle(self.scheduler.now)
         self.physical.tapper_line.schedule()
 
     def turn_arm_motors_off(self) -> None:
-        """Switch the arm's motors off, as by a sleep command, so that the quill sinks.
+        """Switch the arm's motors off, as a sleep command does, so that the quill sinks.
 
         Marlin does not report motors that are off, so its board loses its power instead.
         """
@@ -850,7 +854,7 @@ class Trial:
         self.checker.lose_reference()
 
     def interrupt_arm_power(self) -> None:
-        """Interrupt the power of the arm's board, which loses its position."""
+        """Interrupt the power of the arm's board, so that the board loses the arm's position."""
         self.physical.arm_board.power_cycle(self.scheduler.now)
         self.physical.arm_line.schedule()
         self.checker.lose_reference()
@@ -919,7 +923,8 @@ class Trial:
         self.checker.violate("no way back", f"arm {arm}, tapper {tapper}")
 
     def _ask_to_clear(self, node: str) -> None:
-        """Ask a node to clear its stop or fault. Sometimes somebody stops it again meanwhile."""
+        """Ask a node to clear its stop or fault. Sometimes somebody stops the node again before it
+        has cleared."""
         self._clear_stop(node)
         self.call_service(node, "~/clear_fault")
         if self._faulty and self.rng.random() < SHARE_OF_STOPS_AT_A_CLEAR:
@@ -1037,8 +1042,8 @@ class Trial:
             and message.request == TapCommand.TAP
         ):
             if self._taken.get(message.tap_id) != message.header.stamp:
-                # A tap with this id may already be recorded as ended, namely another command with
-                # the same id that was refused. The tap of this command has not ended.
+                # Another command with the same id may have been refused, so a tap with this id may
+                # already be recorded as ended. The tap of this command has not ended.
                 self.checker.ended_taps.pop(message.tap_id, None)
             self._taken[message.tap_id] = message.header.stamp
             self.checker.on_tap_received(message)

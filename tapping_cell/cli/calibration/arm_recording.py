@@ -125,8 +125,8 @@ def _visit(
 
 
 def _check_same_arm(cell: Cell, client: ArmPoseClient, here: Joints) -> None:
-    """Check that the tip position computed from the cell file agrees with the one that the running
-    cell reports. With the file of another cell, the arm would move to wrong postures."""
+    """Check that the tip position computed from the cell file agrees with the tip position that the
+    running cell reports. With the file of another cell, the arm would move to wrong postures."""
     assert client.arm_state is not None
     tip = cell.arm.geometry().forward(here)
     computed = cell.arm_base @ Pose(tip.x, tip.y, tip.yaw)

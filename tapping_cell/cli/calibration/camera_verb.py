@@ -156,7 +156,7 @@ def _target(arguments: argparse.Namespace) -> Target:
 
 
 def image_files(paths: list[Path]) -> list[Path]:
-    """Return the files, with folders replaced by the images in them, sorted by name.
+    """Return the image files; each folder is replaced by the images in it, sorted by name.
 
     Raises:
         CalibrationRefused: a file does not exist, or a folder contains no image.
@@ -295,8 +295,8 @@ def lines(result: CameraCalibration) -> list[str]:
 
 
 def write_pictures(folder: Path, paths: list[Path], result: CameraCalibration) -> None:
-    """Write one image per view, with the corners and their errors (magnified 50 times), and one
-    image that shows which parts of the camera's image the views cover.
+    """Write one image per view, with the corners and their errors (magnified 50 times). Also write
+    one image that shows which parts of the camera's image the views cover.
 
     Raises:
         OSError: the folder is not writable.

@@ -109,7 +109,8 @@ def read_taps(paths: Sequence[Path], cell: Cell) -> Taps:
 
     Raises:
         RecordError: a file and folders are mixed, a run was made with another object, or there are
-        no taps. tapping_cell.report.run_folder.RunError: a run folder is damaged.
+            no taps.
+        tapping_cell.report.run_folder.RunError: a run folder is damaged.
     """
     if all(path.is_dir() for path in paths):
         return _taps_of_runs(paths, cell)
@@ -155,8 +156,8 @@ def fit_all(cell: Cell, taps: Taps) -> tuple[list[MountFit], list[str]]:
     sentence about each tapper that has too few taps.
 
     Raises:
-        RecordError: a tap was made by a tapper that the cell does not have. CalibrationRefused: no
-        tapper has enough taps.
+        RecordError: a tap was made by a tapper that the cell does not have.
+        CalibrationRefused: no tapper has enough taps.
     """
     entries = cell.fixed_tappers.tappers
     unknown = sorted(set(taps.tapper.tolist()) - {entry.name for entry in entries})

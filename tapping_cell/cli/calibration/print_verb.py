@@ -201,6 +201,6 @@ def _references(arguments: argparse.Namespace, paper: tuple[float, float]) -> Re
 
 
 def printed(page: Page) -> PrintedPage:
-    """Convert the page to the input of the report package, which draws it."""
+    """Convert the page to the input of the report package; that package draws the page."""
     labels = [(label.x, label.y, label.height, label.text) for label in page.labels]
     return PrintedPage(page.width, page.height, page.shapes, page.lines, labels)

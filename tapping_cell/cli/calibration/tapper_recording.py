@@ -31,8 +31,8 @@ LONGEST = 0.090
 """Maximum travel in m of the largest tap. The object file defines the travel of the smallest
 tap."""
 _STEP = 0.93
-"""As long as the largest tap has too little clearance on the table, its speed is multiplied by this
-factor."""
+"""Factor by which the speed of the largest tap is multiplied repeatedly until this tap has enough
+clearance on the table."""
 _USELESS = 4
 """Number of consecutive unusable taps after which the recording is aborted."""
 READY_TIMEOUT_S = 60.0
@@ -70,7 +70,8 @@ def record(arguments: argparse.Namespace, cell: Cell, console: Console) -> bool:
 
 def energies_of(cell: Cell) -> list[float]:
     """Return the energies of the taps in J, evenly spaced on a logarithmic scale. The lowest energy
-    is that of the object's smallest tap, the highest that of the largest tap with enough clearance.
+    is that of the object's smallest tap. The highest energy is that of the largest tap with enough
+    clearance.
 
     Raises:
         CalibrationRefused: there is not enough clearance, or the tapper's range is too narrow.

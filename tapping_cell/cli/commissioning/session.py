@@ -43,8 +43,8 @@ class Proof:
 
 @dataclass(slots=True)
 class Session:
-    """Commissioning session in one folder, which contains the cell's files (``config``) and the
-    measurements (``commission.json``)."""
+    """Commissioning session in one folder. The folder contains the cell's files (``config``) and
+    the measurements (``commission.json``)."""
 
     folder: Path
     console: Console

@@ -239,7 +239,7 @@ def _home(session: Session, client: CellClient, graph: Graph) -> float:
 
 
 def _clear(session: Session, client: CellClient, graph: Graph) -> None:
-    """Clear a stop or fault of an earlier session, which is stored across restarts."""
+    """Clear a stop or fault of an earlier session. A stop is stored across restarts."""
     session.instruct(
         f"{client.mode().sentence}: remove the cause, make sure that nobody is near the cell, "
         "and press the clear button at the tapper"

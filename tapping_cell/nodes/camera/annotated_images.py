@@ -1,4 +1,4 @@
-"""Annotated images, raw for screens and compressed for records, each at its own rate."""
+"""Annotated images: raw for screens and compressed for records, at two separate rates."""
 
 from __future__ import annotations
 

@@ -87,7 +87,7 @@ STAMP_AHEAD_S = 1.0
 """Maximum time by which an image stamp may be ahead of this node's clock."""
 MAX_LATE = 15
 """Number of consecutive images, each older than the last accepted image, after which tracking
-restarts. They span about half a second, which is too long for reordered messages."""
+restarts. These images span about half a second; messages are not reordered over so long a time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,8 +184,8 @@ class CameraPose(CellNode[Parameters]):
         self._pictures = self.create_subscription(
             self._picture_type,
             self._picture_topic,
-            # The callback also receives the message info of the middleware, which rclpy supports at
-            # run time but not in its type annotations.
+            # The callback has a second argument, the message info of the middleware. rclpy supports
+            # this argument at run time, but not in its type annotations.
             cast(Callable[[Image], None], self._on_image),
             images.COMPRESSED_PICTURES if compressed else images.PICTURES,
         )
@@ -344,7 +344,8 @@ class CameraPose(CellNode[Parameters]):
             )
 
     def _count_late(self, observation: Observation) -> None:
-        """Restart tracking when the camera's clock was set back, which makes every image late."""
+        """Restart tracking after the camera's clock was set back, because then every image counts
+        as late."""
         self._late = self._late + 1 if observation.problem is Problem.LATE_FRAME else 0
         if self._late >= MAX_LATE and self._camera is not None and self._cell is not None:
             self.get_logger().warning(
@@ -385,7 +386,7 @@ class CameraPose(CellNode[Parameters]):
                 self.get_logger().warning(self._notice)
 
     def _publish_camera(self, picture: Image) -> None:
-        """Publish the camera pose in ``table``, which is needed to project pixels onto the
+        """Publish the camera pose in ``table``, so that subscribers can project pixels onto the
         table."""
         assert self._tracker is not None
         now, view = time.monotonic(), self._tracker.view
@@ -431,8 +432,8 @@ class CameraPose(CellNode[Parameters]):
         if not self.active or silent <= self.settings.silence_limit:
             self._missed = 0
             return
-        # The first check that finds the limit exceeded does not report it: if this process itself
-        # was delayed, an image is already queued and is processed before the next check.
+        # The first check that finds the limit exceeded reports nothing: if this process itself was
+        # delayed, an image is already queued and is processed before the next check.
         self._missed += 1
         if self._missed % MISSED_LOG_PERIOD == 2:
             empty = Image()
@@ -447,7 +448,7 @@ class CameraPose(CellNode[Parameters]):
 
 def _arrival(info: dict[str, int]) -> float:
     """Return the time (s, system clock) at which the middleware received a message. Return the
-    current time if the middleware does not report it."""
+    current time if the middleware does not report the time of reception."""
     return 1e-9 * info["received_timestamp"] or time.time()
 
 

@@ -1,12 +1,12 @@
-"""Selection of queued images to process when they arrive faster than they can be processed."""
+"""Selection of the queued images to process when images arrive faster than they are processed."""
 
 from __future__ import annotations
 
 LONGEST_WAIT_S = 0.15
-"""An image that waited longer is dropped if a newer image is queued, so that the node catches up
-immediately after a long delay. After shorter delays, every queued image is processed, so that the
-track has no gaps. If images always arrive faster than they can be processed, ``SHORTEST_WAIT_S``
-applies instead."""
+"""An image that waited longer than this time is dropped if a newer image is queued, so that the
+node catches up immediately after a long delay. After shorter delays, every queued image is
+processed, so that the track has no gaps. If images always arrive faster than they can be processed,
+``SHORTEST_WAIT_S`` applies instead."""
 SHORTEST_WAIT_S = 0.005
 _SHARE = 0.2
 """Weight of the newest sample in the moving averages of arrival interval and processing time."""
@@ -40,8 +40,8 @@ class Backlog:
         self._answered = now
 
     def stale(self, now: float) -> bool:
-        """Return whether the last image waited so long that a newer queued image should replace
-        it."""
+        """Return whether the last image waited so long that a newer queued image should be
+        processed instead."""
         assert self._arrived is not None
         waited = now - self._arrived
         return waited > LONGEST_WAIT_S or (waited > SHORTEST_WAIT_S and self.overrun)

@@ -54,8 +54,8 @@ ENCODINGS = {
     "uyvy": Encoding(2, cv2.COLOR_YUV2GRAY_UYVY),
     "yuv422_yuy2": Encoding(2, cv2.COLOR_YUV2GRAY_YUY2),
     "yuyv": Encoding(2, cv2.COLOR_YUV2GRAY_YUY2),
-    # ROS names a Bayer pattern by its top left 2x2 pixels. OpenCV names it by the second and third
-    # pixels of the second row.
+    # ROS names a Bayer pattern by its top left 2x2 pixels. OpenCV names the pattern by the second
+    # and third pixels of the second row.
     "bayer_rggb8": Encoding(1, cv2.COLOR_BayerBG2GRAY),
     "bayer_bggr8": Encoding(1, cv2.COLOR_BayerRG2GRAY),
     "bayer_gbrg8": Encoding(1, cv2.COLOR_BayerGR2GRAY),
@@ -69,7 +69,7 @@ class ImageRefused(ValueError):
 
 
 def unpack(message: Image) -> NDArray[np.uint8]:
-    """Return the bytes of an image message, shape (height, width, bytes per pixel). They are
+    """Return the bytes of an image message, shape (height, width, bytes per pixel). The bytes are
     copied only if the rows are padded.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Camera node: publishes images from a device, video file or folder, with their calibration."""
+"""Camera node: publishes the images of a device, video file or folder, and their calibration."""
 
 from __future__ import annotations
 
@@ -191,7 +191,7 @@ class OverheadCamera(CellNode[Parameters]):
         self._frames += 1
 
     def _log_problem(self, sentence: str) -> None:
-        """Log a problem, unless it was the last one logged."""
+        """Log a problem, unless it is the same as the last logged problem."""
         if sentence != self._problem:
             self.get_logger().error(sentence)
         self._problem = sentence

@@ -125,7 +125,7 @@ class UnknownSearch:
 
     def _arm(self) -> ArmBars | None:
         """Return the bars that model the arm's links, in ``table``, or None if the arm's joint
-        positions or its shape are not known."""
+        positions are not known or the arm's shape is not known."""
         if not self._is_scara or any(name not in self._joints for name in self._names):
             return None
         joints = [[self._joints[name] for name in self._names]]

@@ -1,4 +1,5 @@
-"""Common base of the clients of the planner's actions: send a goal, monitor it, cancel it."""
+"""Common base of the clients of the planner's actions: they send a goal, monitor the goal and can
+cancel it."""
 
 from __future__ import annotations
 
@@ -27,7 +28,7 @@ class ActionFollower(ClientNode, Generic[Event]):
         self._events: queue.Queue[Event] = queue.Queue()
         self._handle: ClientGoalHandle | None = None
         self._sent = 0
-        """Number of goals sent so far, which is also the number of the latest goal."""
+        """Number of goals sent so far. This number also identifies the latest goal."""
         self._action = ActionClient(self.node, kind, action)
 
     def accepts_goals(self) -> bool:
@@ -51,7 +52,8 @@ class ActionFollower(ClientNode, Generic[Event]):
         return True
 
     def events(self, poll: float = 0.2) -> Iterator[Event | None]:
-        """Yield events as they arrive, and None in between so that the caller can do other work."""
+        """Yield events as they arrive. Yield None whenever no event has arrived within ``poll`` s,
+        so that the caller can do other work."""
         while True:
             try:
                 event: Event | None = self._events.get(timeout=poll)
@@ -82,8 +84,8 @@ class ActionFollower(ClientNode, Generic[Event]):
             result = done.result().result
             if number == self._sent or result.error_code != ErrorCode.GOAL_REPLACED:
                 self._on_result(result)
-            # Otherwise, this is the result of an earlier request, whose response was late. The goal
-            # was therefore sent again, and the later request replaced the earlier one.
+            # Otherwise, this is the result of an earlier request. The response to that request was
+            # late, so the goal was sent again, and the later request replaced the earlier one.
 
         handle.get_result_async().add_done_callback(end)
 

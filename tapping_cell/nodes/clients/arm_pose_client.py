@@ -1,6 +1,6 @@
 """Client for arm calibration: moves the arm to postures and measures the marker that it holds.
 
-The verb `calibrate arm --record` uses this client, which is not a separate executable.
+The verb `calibrate arm --record` uses this client. There is no separate executable for it.
 """
 
 from __future__ import annotations
@@ -61,8 +61,8 @@ class ArmPoseClient(GoalClient):
         self.node.create_subscription(JointState, topic, self._on_joints, 10)
 
     def missing(self) -> list[str]:
-        """Return the conditions that still prevent motion of the arm, as text; empty when it is
-        ready."""
+        """Return the conditions that still prevent motion of the arm, as text; empty when the arm
+        is ready."""
         if self.arm_state is None or self._trajectories.get_subscription_count() == 0:
             return ["the arm's driver is not running"]
         if self.arm_state.state != ArmState.IDLE:
@@ -76,7 +76,7 @@ class ArmPoseClient(GoalClient):
         return []
 
     def joints(self) -> Joints | None:
-        """Return the last measured joint positions, or None before the first."""
+        """Return the last measured joint positions, or None before the first measurement."""
         if self._joints is None:
             return None
         known = dict(zip(self._joints.name, self._joints.position, strict=True))
@@ -98,7 +98,7 @@ class ArmPoseClient(GoalClient):
 
     def go(self, target: Joints, speed: float, check: Callable[[], None]) -> Time:
         """Go to a posture at ``speed`` (rad/s of the fastest joint). Return the time at which the
-        measured joints reached it.
+        measured joints reached the posture.
 
         Raises:
             ArmRefused: the arm does not arrive in time, or reports why it does not move.

@@ -1,6 +1,6 @@
 """Client that sends an arrangement of several objects and monitors it.
 
-The verbs `arrange` and `demo --objects` use this client, which is not a separate executable.
+The verbs `arrange` and `demo --objects` use this client. There is no separate executable for it.
 """
 
 from __future__ import annotations
@@ -160,7 +160,7 @@ class ArrangeClient(ActionFollower[Event]):
 
 
 def residuals(poses: Mapping[str, Pose], layout: LayoutFile) -> dict[str, tuple[float, float]]:
-    """Return distance (m) and rotation (rad) of each object from its goal, NaN if it is not
+    """Return distance (m) and rotation (rad) of each object from its goal, NaN if the object is not
     visible."""
     found = {}
     for goal in layout.goals:

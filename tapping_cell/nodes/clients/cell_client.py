@@ -1,7 +1,7 @@
 """Client that monitors and commands a whole cell from a terminal, as the page does in a browser.
 
-The verbs `up`, `status`, `watch`, `home`, `stop`, `clear` and `commission` use this client, which
-is not a separate executable.
+The verbs `up`, `status`, `watch`, `home`, `stop`, `clear` and `commission` use this client. There
+is no separate executable for it.
 """
 
 from __future__ import annotations
@@ -62,8 +62,8 @@ class CellClient(ClientNode):
         return self.in_executor(self._view.mode)
 
     def state(self) -> dict[str, Any]:
-        """Return the state that the page shows. Its entry ``nodes`` contains the rows of the page's
-        list of nodes."""
+        """Return the state that the page shows. The entry ``nodes`` of this state contains the rows
+        of the page's list of nodes."""
 
         def gather() -> dict[str, Any]:
             self._view.simulated = self._watch.runs("sim_world")
@@ -104,8 +104,8 @@ class CellClient(ClientNode):
     # Commands
 
     def stop(self) -> None:
-        """Stop arm and tapper, which ends the planner's goal. Return when both have confirmed the
-        stop.
+        """Stop arm and tapper; this also ends the planner's goal. Return when both devices have
+        confirmed the stop.
 
         Raises:
             NotDone: a device did not confirm the stop. The message names the device.

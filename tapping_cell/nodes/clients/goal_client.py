@@ -1,7 +1,7 @@
-"""Client of a running cell: checks that it is ready, sends a goal, reports every tap and the
+"""Client of a running cell: checks that the cell is ready, sends a goal, reports every tap and the
 result.
 
-The verbs `demo` and `goal` use this client, which is not a separate executable.
+The verbs `demo` and `goal` use this client. There is no separate executable for it.
 """
 
 from __future__ import annotations
@@ -43,8 +43,8 @@ class PhaseChanged:
 
 @dataclass(frozen=True, slots=True)
 class TapDone:
-    """Event: the result of a tap was measured. ``true_pose`` is None without published ground
-    truth."""
+    """Event: the result of a tap was measured. ``true_pose`` is None if no ground truth is
+    published."""
 
     record: TapRecord
     residual_distance: float
@@ -92,9 +92,9 @@ class GoalClient(ActionFollower[Event]):
         self.tapper_state: TapperState | None = None
         self.true_pose: Pose | None = None
         self.last_run = ""
-        """Folder of the run that the recorder finished last; empty before the first."""
+        """Folder of the run that the recorder finished last; empty before the first run."""
         self.planner_active = False
-        """Whether a state of the planner has been received. The planner publishes the first one
+        """Whether a state of the planner has been received. The planner publishes its first state
         when it is activated."""
         self._true_pose_received = 0.0
         self._taps_received = 0
@@ -113,7 +113,7 @@ class GoalClient(ActionFollower[Event]):
 
     def missing(self) -> list[str]:
         """Return the conditions that still prevent the cell from accepting a goal, as text; empty
-        when it is ready."""
+        when the cell is ready."""
         reasons = []
         if not self._action.server_is_ready():
             reasons.append("the planner is not running")
@@ -170,7 +170,7 @@ class GoalClient(ActionFollower[Event]):
         self._send_goal(message)
 
     def confirm(self, tap_id: int, confirm: bool, patience: float = 5.0) -> ConfirmTap.Response:
-        """Confirm a tap that waits for confirmation, or skip it.
+        """Confirm or skip a tap that waits for confirmation.
 
         Raises:
             TimeoutError: the planner did not respond.

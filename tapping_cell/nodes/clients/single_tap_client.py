@@ -1,6 +1,6 @@
-"""Client for single-tap experiments: makes prescribed taps and records the data of each.
+"""Client for single-tap experiments: makes prescribed taps and records the data of each tap.
 
-The verb `single-tap` uses this client, which is not a separate executable.
+The verb `single-tap` uses this client. There is no separate executable for it.
 """
 
 from __future__ import annotations
@@ -43,8 +43,8 @@ object has come to rest."""
 KEPT_POSES = 4000
 LONGEST_TAP_S = 120.0
 LONGEST_AWAY_S = 3.0
-"""Time (s) after which an action server that is no longer discovered is considered dead. Discovery
-may also lose a running server, but for a shorter time."""
+"""Time (s) after which an action server that is no longer discovered is assumed to have ended.
+Discovery may also lose a running server, but for a shorter time."""
 LATCHED_QUALITY = Quality(1, latched=True)
 RECORDED: tuple[tuple[type, str, Any, Quality], ...] = (
     (PoseWithCovarianceStamped, "object_pose", 50, Quality()),
@@ -78,7 +78,7 @@ class SingleTapClient(GoalClient):
 
     def missing(self) -> list[str]:
         """Return the conditions that still prevent the cell from making a tap, as text; empty when
-        it is ready."""
+        the cell is ready."""
         reasons = super().missing()
         if not reasons and not self._single.server_is_ready():
             reasons.append("the planner does not serve single_tap: its version is too old")
@@ -214,7 +214,7 @@ class SingleTapClient(GoalClient):
 
 
 def rate_of(stamps: list[float]) -> float:
-    """Return the frame rate in Hz from the frame times in s. It is computed from the 20 % quantile
-    of the intervals, so that the long intervals due to lost frames have no effect."""
+    """Return the frame rate in Hz from the frame times in s. The rate is computed from the 20 %
+    quantile of the intervals, so that the long intervals due to lost frames have no effect."""
     steps = [after - before for before, after in pairwise(stamps) if after > before]
     return 1.0 / float(np.quantile(steps, 0.2)) if steps else math.nan

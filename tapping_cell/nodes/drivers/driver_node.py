@@ -18,7 +18,8 @@ from tapping_cell.nodes.drivers.ros_link import RosLink
 from tapping_cell.nodes.logic_host import LogicHost, LogicNode
 
 URGENCY = 1
-"""Real-time priority: the lowest, which is still above all ordinary processes."""
+"""Lowest real-time priority. It is still above the priority of every process without real-time
+scheduling."""
 
 
 class DeviceDriver(Protocol):
@@ -103,8 +104,8 @@ class DriverNode(LogicNode[Parameters], Generic[Parameters, Driver]):
         return answer
 
     def link_to(self, section: Section, make: Callable[[Section], Link]) -> Link:
-        """Return the link to a robot's own ROS driver. It is kept until ``section``, its section of
-        the cell file, changes."""
+        """Return the link to a robot's own ROS driver. The same link is returned until ``section``,
+        the driver's section of the cell file, changes."""
         if self._link is not None and self._linked_to != section:
             self._link.destroy()
             self._link = None

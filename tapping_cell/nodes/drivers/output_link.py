@@ -123,19 +123,20 @@ class RosOutputLink(RosLink):
 
     @property
     def guard(self) -> InputLevel | None:
-        """Last message from the safety guard, which states whether it is closed."""
+        """Last message from the safety guard: whether the guard is closed."""
         with self._received:
             return self._guard
 
     @property
     def read_back(self) -> InputLevel | None:
-        """Last read-back, which states whether the output is on."""
+        """Last read-back: whether the output is on."""
         with self._received:
             return self._read_back
 
     @property
     def last_on(self) -> float:
-        """Time of the last read-back that reported the output as on, in s."""
+        """Time, in s of the monotonic clock, of the last read-back that reported the output as
+        on."""
         with self._received:
             return self._last_on
 

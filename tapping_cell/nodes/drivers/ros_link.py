@@ -22,8 +22,9 @@ class RosLink(ABC):
     """Link whose topics stay open as long as the instance exists, so that ``open`` also finds a
     peer that started after the link.
 
-    A subclass creates its topics and services on ``_node``, then calls ``_start``. It notifies the
-    condition ``_received`` when a message arrives. ``_lock`` serialises commands and stops.
+    A subclass creates its topics and services on ``_node``, then calls ``_start``. The subclass
+    notifies the condition ``_received`` when a message arrives. ``_lock`` serialises commands and
+    stops.
     """
 
     def __init__(self, parent: Node, suffix: str) -> None:
@@ -111,7 +112,7 @@ class RosLink(ABC):
         """Return the error message for an absent peer."""
 
     def _found(self) -> None:  # noqa: B027 - most links have nothing to do
-        """Called when the peer has been found: discard the data received before."""
+        """Discard the data received so far. Called when the peer has been found."""
 
     def _before_destruction(self) -> None:  # noqa: B027
         """Destroy resources that the node does not destroy itself."""

@@ -106,7 +106,8 @@ class TapperTrigger(DriverNode[Parameters, TapperBoards | OutputTapperDriver]):
         self.host.calls(messages.HoldStill, "hold_still")
 
     def configure(self) -> None:
-        """Read the cell file, open the ports and start sessions, which discharge every tapper."""
+        """Read the cell file, open the ports and start the sessions. Starting the sessions
+        discharges every tapper."""
         cell = self.settings.load_cell()
         tapper = cell.file.tapper
         if tapper.output is not None:

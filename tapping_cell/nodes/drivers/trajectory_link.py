@@ -98,7 +98,8 @@ class RosTrajectoryLink(RosLink):
         return reached
 
     def brake(self) -> bool:
-        """Make the controller bring the arm to rest and cancel its goal, from any thread.
+        """Make the controller bring the arm to rest, and cancel the controller's goal. May be
+        called from any thread.
 
         A joint_trajectory_controller rejects an empty trajectory on its topic, so the brake command
         is a trajectory with a single point.
@@ -147,7 +148,8 @@ class RosTrajectoryLink(RosLink):
         if speeds is not None and not all(map(math.isfinite, speeds)):
             speeds = None
         stamp = Time.from_msg(message.header.stamp).nanoseconds
-        # A state without a stamp counts as measured on arrival. (joint_state_broadcaster sets one.)
+        # A state without a stamp counts as measured on arrival. The states of
+        # joint_state_broadcaster have stamps.
         age = 1e-9 * (self._node.get_clock().now().nanoseconds - stamp) if stamp else 0.0
         sample = JointSample(
             received - max(age, 0.0),
@@ -173,7 +175,7 @@ class RosTrajectoryLink(RosLink):
         return "action" if by_action else "topic"
 
     def send(self, points: Sequence[TrajectoryPoint]) -> None:
-        """Send a trajectory, which replaces the current one."""
+        """Send a trajectory. It replaces the current trajectory."""
         self._require()
         if not self._present():
             self._open = False
@@ -185,7 +187,8 @@ class RosTrajectoryLink(RosLink):
         message = self._message(points)
         with self._lock:
             # A stop that arrives now waits for the lock, so it also ends this trajectory: ``brake``
-            # replaces it, and a goal that is not sent or accepted yet is dropped or cancelled.
+            # replaces the trajectory, a goal that is not sent yet is dropped, and a goal that is
+            # not accepted yet is cancelled.
             self._require()
             self._goal += 1
             self._course = Course(self.samples[-1].positions, points)

@@ -116,7 +116,8 @@ class Arrangements:
         answer({"type": "preset", "goals": rows})
 
     def send(self, request: Arrange, who: str, answer: Answer) -> None:
-        """Send an arrangement to the planner, and its result to the page when it has ended."""
+        """Send an arrangement to the planner. Send the arrangement's result to the page when the
+        arrangement has ended."""
         goal = ArrangeObjects.Goal(
             goals=[object_goal(name, pose, request.tolerance) for name, pose in request.goals],
             in_order=request.in_order,
@@ -127,7 +128,7 @@ class Arrangements:
 
     def _prepare(self) -> None:
         """Prepare the goal checks that are not ready. Until the check of an object is ready, the
-        page sends any goal of this object to the planner, which checks it too."""
+        page sends any goal of this object to the planner; the planner checks every goal."""
         for check in list(self.checks.values()):
             if not check.ready:
                 check.prepare()

@@ -1,4 +1,4 @@
-"""Calls of other nodes at the request of a page, which receives the outcome."""
+"""Calls of other nodes at the request of a page; the page receives the outcome."""
 
 from __future__ import annotations
 
@@ -29,8 +29,9 @@ def call_service(
     answer: Answer,
     on_reply: Callable[[Any], None] | None = None,
 ) -> None:
-    """Call a service. The page receives the response of the service, or a message that no server
-    is available. ``on_reply`` answers the page instead if the response is not that of a Trigger."""
+    """Call a service. The page receives the response of the service, or a message that no server is
+    available. If ``on_reply`` is given, it answers the page instead. A service that is not a
+    Trigger needs ``on_reply``."""
     if not client.service_is_ready():
         answer(answer_to(request, False, f"{name} does not answer; is it running?"))
         return
@@ -53,9 +54,9 @@ def send_goal(
     answer: Answer,
     on_response: Callable[[], None] = lambda: None,
 ) -> bool:
-    """Send a goal of the planner, called ``what``, and its result to the page when it has ended.
-    ``on_response`` is called when the planner has accepted or rejected the goal. Return False if
-    the planner is not running."""
+    """Send a goal to the planner. Send the goal's result to the page when the goal has ended.
+    ``what``: name of the goal in messages. ``on_response`` is called when the planner has accepted
+    or rejected the goal. Return False if the planner is not running."""
     if not action.server_is_ready():
         answer(answer_to(request, False, "the planner is not running; start tap_planner"))
         return False

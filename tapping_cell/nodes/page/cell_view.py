@@ -100,7 +100,7 @@ class Mode(NamedTuple):
 
 
 def with_code(sentence: str, code: int) -> str:
-    """Append the error code to a message if there is one."""
+    """Append the error code to a message; return the message unchanged if the code is 0."""
     return f"{sentence} ({code})" if code else sentence
 
 
@@ -197,7 +197,8 @@ class CellView:
         return plan is not None and plan.state not in (PlanState.IDLE, *FINAL_STATES)
 
     def mode(self) -> Mode:
-        """Return the mode of the whole cell with a message and, if there is one, the code."""
+        """Return the mode of the whole cell with a message and, if there is an error code, this
+        code."""
         arm, tapper = self._monitor.arm, self._monitor.tapper
         # The text after the semicolon recommends ROS services; the page shows its own recovery
         # steps instead.

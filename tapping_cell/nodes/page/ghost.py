@@ -20,10 +20,11 @@ from tapping_cell.se2 import Pose, transform_points
 from tapping_cell.vision import View
 
 HANDLE_BEYOND = 0.03
-"""Distance in m from the farthest point of the outline to the handle that rotates the ghost."""
+"""The handle that rotates the ghost is farther from the ghost's centre than the farthest point of
+the outline, by this distance in m."""
 ARROW, ARROW_AHEAD = 0.06, 0.012
 """Lengths in m of the two parts of the line that represents the striker: ``ARROW`` behind the
-position of its tip at rest, and ``ARROW_AHEAD`` in front of this position."""
+position of the striker's tip at rest, and ``ARROW_AHEAD`` in front of this position."""
 ELLIPSE_95 = math.sqrt(-2.0 * math.log(0.05))
 """Radius of the ellipse that contains 95 % of a bivariate normal distribution, in standard
 deviations."""
@@ -40,8 +41,8 @@ Array = NDArray[np.float64]
 class Ghost:
     """Goal preview of an object: maps between image and table, and draws the outline at the goal.
 
-    ``outline`` (N, 2) in the object's frame and ``height`` of its top are in m. ``refusal`` returns
-    the planner's message for a goal that it would refuse, or an empty text.
+    ``outline`` (N, 2) in the object's frame and ``height`` of the object's top are in m.
+    ``refusal`` returns the planner's message for a goal that it would refuse, or an empty text.
     """
 
     view: View
@@ -77,9 +78,9 @@ class Ghost:
         self, before: Pose, strike: Pose, predicted: Pose, covariance: Array
     ) -> dict[str, object]:
         """Return the drawing of a planned tap in fractions of the image size: the ``arrow`` of the
-        striker, the predicted ``outline``, the ``way`` of the centre, and the ``ellipse`` that
-        contains the centre with a probability of 95 %. ``covariance`` (2, 2) of the predicted
-        centre is in m^2."""
+        striker, the predicted ``outline``, the ``way`` (predicted path of the object's centre), and
+        the ``ellipse`` that contains the centre with a probability of 95 %. ``covariance`` (2, 2)
+        of the predicted centre is in m^2."""
         values, axes = np.linalg.eigh(covariance)
         radii = ELLIPSE_95 * np.sqrt(np.maximum(values, 0.0))
         around = np.linspace(0.0, 2.0 * math.pi, 48, endpoint=False)
@@ -131,8 +132,9 @@ class Ghost:
         """Return which of the directions 0, 90, 180 and -90 degrees on the table points most to the
         right in the image.
 
-        The page uses this direction so that every arrow key moves the ghost along an axis of the
-        table, but approximately in the direction of the key in the image.
+        The page uses this direction for the arrow keys: each key moves the ghost along an axis of
+        the table, namely the axis that points approximately in the direction of the key in the
+        image.
         """
         ends = [[x, y], [x + SIDE, y], [x, y + SIDE]]
         here, along_x, along_y = self.view.project(ends, self.height)

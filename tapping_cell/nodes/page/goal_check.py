@@ -39,7 +39,7 @@ class GoalCheck:
         self.ready = True
 
     def refusal_if_ready(self, pose: Pose) -> str:
-        """Return ``refusal``, or an empty text while the check is not prepared."""
+        """Return the result of ``refusal``, or an empty text while the check is not prepared."""
         return self.refusal(pose) if self.ready else ""
 
     def refusal(self, pose: Pose) -> str:

@@ -1,9 +1,9 @@
 """Queue of goals, and named goals. This module has no side effects: the page's node sends the
 goals.
 
-The queue starts only when a person runs it. Then the next goal is sent whenever the current goal
-was reached. The queue pauses after any other result, because the cause may also affect the next
-goal.
+The queue starts only when a person runs it. From then on, the next goal is sent each time the
+current goal has been reached. The queue pauses after any other result, because the cause may also
+affect the next goal.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ class GoalQueue:
             self.hold(f"The queue is paused: {sentence}")
 
     def next(self, busy: bool, blocked: str) -> RequestedGoal | None:
-        """Remove and return the goal to send now, or None if none is to be sent."""
+        """Remove and return the goal to send now. Return None if no goal is to be sent."""
         if blocked:
             self.hold(f"The queue is paused. {blocked}")
         if not self.running or busy:

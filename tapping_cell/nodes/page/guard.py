@@ -44,10 +44,10 @@ class Guard:
     names: tuple[str, ...]
     """Host names by which the page may be requested."""
     token: str
-    """Token that a page must send; empty if none is required."""
+    """Token that a page must send; empty if no token is required."""
     addresses: bool
-    """Whether any numeric address is also accepted as Host. This does not permit DNS rebinding,
-    which needs a name."""
+    """Whether any numeric address is also accepted as Host. Accepting addresses does not permit DNS
+    rebinding, because DNS rebinding needs a name."""
 
     @classmethod
     def make(cls, address: str, more_names: Iterable[str], token: str) -> Guard:
@@ -119,8 +119,8 @@ def _with_port(name: str, port: int) -> str:
 
 
 def urls(address: str, port: int, token: str) -> list[str]:
-    """Return the URLs of the page. The token follows the #, because browsers do not send that part,
-    so it appears in no server's log."""
+    """Return the URLs of the page. The token follows the #. Browsers do not send this part of a
+    URL, so the token appears in no server's log."""
     tail = f":{port}/" + (f"#token={token}" if token else "")
     if is_loopback(address):
         return [f"http://{'[::1]' if address == '::1' else 'localhost'}{tail}"]

@@ -1,7 +1,7 @@
 """Life-cycle state and diagnostics of every node of the cell. Active only while a page is open.
 
-A node is identified by its role, which it reports on /diagnostics: with ``__node:=`` it may have
-any name.
+A node is identified by the role that it reports on /diagnostics, because a node that was renamed
+with ``__node:=`` may have any name.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ CORE = (VISION, "tap_planner", ARM, "tapper_trigger")
 CAMERAS = ("sim_world", "overhead_camera")
 """Roles of the cell's own nodes that publish images. Another camera driver may replace them."""
 SILENCE_LIMIT_S = 3.5
-"""Maximum age of the last diagnostics, which are sent every second, before a node counts as
-silent."""
+"""Age of the last diagnostics above which a node counts as silent. Nodes send diagnostics every
+second."""
 TIMEOUT_S = 3.0
 LEVELS = {
     DiagnosticStatus.OK: "ok",
@@ -57,7 +57,7 @@ class _Peer:
 class NodeWatch:
     """Monitor the nodes in the namespace of ``node``.
 
-    Create, use and close it in the executor's thread.
+    Create, use and close an instance only in the executor's thread.
     """
 
     def __init__(self, node: Node) -> None:
@@ -65,7 +65,7 @@ class NodeWatch:
         self._prefix = node.get_namespace().rstrip("/") + "/"
         self._peers: dict[str, _Peer] = {}
         self.has_arm = True
-        """Whether the cell has an arm, whose node is then required."""
+        """Whether the cell has an arm. If so, the arm's node is required."""
         self._subscription = node.create_subscription(
             DiagnosticArray, "/diagnostics", self._on_diagnostics, 10
         )
@@ -131,8 +131,8 @@ class NodeWatch:
         return tuple(name for name in CORE if self.has_arm or name != ARM)
 
     def name_of(self, role: str) -> str:
-        """Return the name of the node with this role. If several nodes have it, prefer a running
-        one; if none has it, return the role itself."""
+        """Return the name of the node with this role. If several nodes have this role, prefer a
+        running node; if no node has this role, return the role itself."""
         found = [(not peer.life, name) for name, peer in self._peers.items() if peer.role == role]
         return min(found)[1] if found else role
 

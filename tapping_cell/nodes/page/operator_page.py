@@ -1,8 +1,8 @@
 """Operator's web page, which shows the cell, accepts goals and stops the cell.
 
-It is reachable only from this machine unless `address` is set; then it requires a token. A separate
-process serves STOP and publishes it. While no page is open, this node subscribes to little more
-than the planner's states.
+The page is reachable only from this machine, unless the parameter `address` is set. If `address` is
+set, the page requires a token. A separate process serves STOP and publishes it. While no page is
+open, this node subscribes to little more than the planner's states.
 """
 
 from __future__ import annotations

@@ -11,8 +11,8 @@ TAPPER_HALTED = (TapperState.STOPPED, TapperState.FAULT)
 
 
 class Step(NamedTuple):
-    """One step: a person's action, and the command of the page that performs it, if there is
-    one."""
+    """One step: a person's action and, if the page has a command that performs this action, the
+    command."""
 
     text: str
     state: str
@@ -38,9 +38,9 @@ class Recovery:
     ) -> list[Step]:
         """Return the required steps in order; empty if none are required.
 
-        ``arm`` and ``tapper`` are the latest states, None if there is none. ``holders`` are the
-        known names of the nodes that hold a stop. In a simulated cell, the page can press the
-        button at the tapper. A cell without an arm needs no homing.
+        ``arm`` and ``tapper`` are the latest states; None if no state has been received.
+        ``holders`` are the known names of the nodes that hold a stop. In a simulated cell, the page
+        can press the button at the tapper. A cell without an arm needs no homing.
         """
         tapper_halted = tapper is not None and tapper.state in TAPPER_HALTED
         halted = tapper_halted or (arm is not None and arm.state in ARM_HALTED)

@@ -22,7 +22,7 @@ class BadRequest(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class Hello:
-    """First message of a page, which requests access."""
+    """First message of a page; it requests access."""
 
     token: object
 
@@ -74,7 +74,8 @@ class Place:
 
 @dataclass(frozen=True, slots=True)
 class RequestedGoal:
-    """Goal in ``table``, with its tolerance in m and rad, where 0 selects the cell's default."""
+    """Goal in ``table``, with its tolerance in m and rad. A tolerance of 0 selects the cell's
+    default."""
 
     pose: Pose
     tolerance: tuple[float, float] = (0.0, 0.0)
@@ -90,8 +91,8 @@ class QueueGoal(RequestedGoal):
 
 @dataclass(frozen=True, slots=True)
 class Arrange:
-    """Move several objects to their poses, within a tolerance in m and rad, where 0 selects the
-    cell's default; ``in_order``: finish them in this order."""
+    """Move several objects to their poses, within a tolerance in m and rad. A tolerance of 0
+    selects the cell's default. ``in_order``: whether to finish the objects in this order."""
 
     goals: tuple[tuple[str, Pose], ...]
     tolerance: tuple[float, float] = (0.0, 0.0)
@@ -130,7 +131,7 @@ class ForgetGoal:
 
 @dataclass(frozen=True, slots=True)
 class Confirm:
-    """Make or skip the tap with this id, which waits for confirmation."""
+    """Make or skip the tap that has this id and waits for confirmation."""
 
     tap_id: int
     confirm: bool
@@ -158,8 +159,8 @@ class Command:
 
 
 Frequent = Hello | Seen | Move | Turn | Place
-"""Messages that a page sends automatically or during a drag. They do not count as commands, whose
-rate is limited. During a drag, only the newest message is processed."""
+"""Messages that a page sends automatically or during a drag. The limit on the rate of commands does
+not apply to these messages. During a drag, only the newest message is processed."""
 Request = (
     Frequent
     | SendGoal
@@ -195,7 +196,7 @@ Content = dict[str, Any]
 
 
 def parse(text: str | bytes) -> Request:
-    """Parse a message, whose values are in mm and degrees, as people type them.
+    """Parse a message. The values in the message are in mm and degrees, as people type them.
 
     Raises:
         BadRequest: the message is invalid, for the stated reason.

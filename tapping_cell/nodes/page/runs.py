@@ -1,6 +1,6 @@
 """Access of the page to the recorder's run folders: list, find by name, and pack for download.
 
-A requested name only selects a folder directly in the recorder's folder. Links are not followed,
+A requested name can select only a folder directly in the recorder's folder. Links are not followed,
 and a folder with neither ``summary.json`` nor ``arrangement.json`` is not served.
 """
 
@@ -58,7 +58,7 @@ class Runs:
             return None
 
     def report(self, name: str) -> Path | None:
-        """Return the report of a run, or None if there is none."""
+        """Return the report of a run, or None if the run has no report."""
         run = self.find(name)
         report = run / REPORT if run is not None else None
         return report if report and report.is_file() and not report.is_symlink() else None

@@ -54,7 +54,7 @@ WRITE_TIMEOUT_S = 5.0
 """Timeout for a page to read its data."""
 PING_PERIOD_S = 5.0
 MAX_MESSAGES = 100
-"""Maximum number of messages of one page per second, beyond which its connection is closed."""
+"""Maximum number of messages of one page per second. If a page sends more, it is disconnected."""
 MAX_COMMANDS = 10
 """Maximum number of goals and commands of one page per second. Further requests are refused, except
 for a stop."""
@@ -78,8 +78,8 @@ REPORT_POLICY = (
     "default-src 'none'; style-src 'unsafe-inline'; img-src data:; base-uri 'none'; "
     "form-action 'none'; frame-ancestors 'none'; sandbox"
 )
-"""Content security policy of a report. The report is shown unchanged, but it cannot run scripts,
-and browsers treat it as a page of another web site than the operator's page."""
+"""Content security policy of a report. The report is shown unchanged, but cannot run scripts.
+Browsers treat the report and the operator's page as pages of different web sites."""
 HEADERS = {
     "Cross-Origin-Opener-Policy": "same-origin",
     "Cross-Origin-Resource-Policy": "same-origin",
@@ -90,7 +90,8 @@ HEADERS = {
     "Server": "tapping cell",
 }
 PICTURE_HEADER = struct.Struct("!Idd")
-"""Header before the JPEG: number of the image, its stamp and its age when sent, both in s."""
+"""Header before the JPEG: number of the image, stamp of the image in s, and age of the image in s
+when it is sent."""
 
 Answer = Callable[[dict[str, object]], None]
 """Function that sends a page its response; may be called from any thread."""
@@ -246,7 +247,7 @@ class PageServer:
             self.backend.on_pages(len(self.pages))
 
     def has_key(self, key: str) -> bool:
-        """Return whether a key belongs to an open page, which may read the runs."""
+        """Return whether a key belongs to an open page. If so, its owner may read the runs."""
         return any(secrets.compare_digest(page.key, key) for page in self.pages)
 
 

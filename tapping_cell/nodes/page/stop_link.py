@@ -20,7 +20,7 @@ END_TIMEOUT_S = 2.0
 class StopLink:
     """Keep one process running that serves STOP on sockets that are already bound.
 
-    If the process dies while it holds a stop, the process that replaces it holds the stop again.
+    If the process ends while it holds a stop, the process that replaces it holds the stop again.
     """
 
     def __init__(

@@ -2,8 +2,8 @@
 
 :class:`tapping_cell.nodes.page.stop_link.StopLink` starts this process and writes to its standard
 input: first the configuration, then requests, one JSON value per line. The process writes each
-change of the stop state to standard output. It ends when standard input is closed, so it never
-outlives the page.
+change of the stop state to standard output. The process ends when its standard input is closed, so
+it never outlives the page's node.
 """
 
 from __future__ import annotations

@@ -1,11 +1,11 @@
-"""HTTP server of STOP, on its own port, so that no other traffic of the pages can delay it.
+"""HTTP server of STOP, on its own port, so that no other traffic of the pages can delay a stop.
 
 A request is one JSON object in plain text, ``{"do": "stop", "token": ...}`` or ``{"do": "check",
 ...}``, and the response is ``{"held": ...}``. A stop needs no existing connection. When too many
 connections are open, the oldest one is closed to accept the newest, so that no client can occupy
-all of them. Connections that have sent an admitted request belong to pages and are closed last, so
-that a page keeps its connection even during a flood of new connections. A check and every refused
-request are answered slowly, which limits the request rate of a connection.
+all connections. Connections that have sent an admitted request belong to pages and are closed last,
+so that a page keeps its connection even during a flood of new connections. Checks and refused
+requests are answered slowly, to limit the request rate of a connection.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class StopLevel:
     ) -> None:
         """``publish``: sends the stop state (True: stopped) to the cell. ``report``: sends the stop
         state and the name of the requester to the page's node. ``held``: whether a stop was held
-        before this process started; it is then held again."""
+        before this process started; if so, the stop is held again."""
         self.held = held
         self._publish = publish
         self._report = report
@@ -133,8 +133,8 @@ class StopHandler(RequestHandler):
 
 
 class StopServer(HTTPServer):
-    """Serve on sockets that are already bound. The oldest connection is closed to accept a new
-    one."""
+    """Serve on sockets that are already bound. If too many connections are open, the oldest one is
+    closed to accept a new one."""
 
     level: StopLevel
     guard: Guard
@@ -148,8 +148,8 @@ class StopServer(HTTPServer):
 
     @classmethod
     def make(cls, level: StopLevel, guard: Guard, page_port: int) -> StopServer:
-        """Return a server for ``level``. It accepts requests of pages that are served at
-        ``page_port``, if they meet the requirements of ``guard``."""
+        """Return a server for ``level``. The server accepts requests of pages that are served at
+        ``page_port``, if the requests meet the requirements of ``guard``."""
         application = Application(log_function=lambda _: None)
         made = cls(
             application,
@@ -171,8 +171,8 @@ class StopServer(HTTPServer):
         super().handle_stream(stream, address)
 
     def admit(self, connection: Any) -> None:
-        """Mark a connection as that of a page, because it has sent an admitted request, so that it
-        is closed after the other connections."""
+        """Mark a connection that has sent an admitted request as the connection of a page. Such
+        connections are closed after all other connections."""
         stream = connection.stream
         if stream in self._streams:
             self._streams.remove(stream)

@@ -12,7 +12,8 @@ from rclpy.node import Node
 
 class DeferredActionServer:
     """Action servers of one node. They accept every goal, because only an accepted goal has a
-    result, which tells the client the error code if the planner refuses the goal."""
+    result. If the planner then refuses the goal, the result contains the error code for the
+    client."""
 
     def __init__(
         self,
@@ -43,8 +44,8 @@ class DeferredActionServer:
 
     def answer(self, handle: ServerGoalHandle, result: Any) -> None:
         """Finish a goal with its result."""
-        # The goal is executed only now, because an execute callback that waits for the result would
-        # occupy the single-threaded executor completely.
+        # The goal is not executed until now, because an execute callback that waits for the result
+        # would occupy the single-threaded executor completely.
         self._results[bytes(handle.goal_id.uuid)] = result
         handle.execute()
 

@@ -1,8 +1,8 @@
 """Markers of the cell for RViz and Foxglove, in ``table``.
 
-They show the outlines of the table, the object, the goal and the predicted final pose. They also
-show the goal tolerance, an arrow for the tap, keep-out zones, the workspace of the object and its
-path so far, and fixed tappers with the lines along which they strike.
+The markers show the outlines of the table, the object, the goal and the predicted final pose. They
+also show the goal tolerance, an arrow for the tap, keep-out zones, the workspace of the object and
+its path so far, and fixed tappers with the lines along which they strike.
 """
 
 from __future__ import annotations
@@ -129,8 +129,8 @@ def _message_points(numbers: bytes) -> tuple[Point, ...]:
 
 
 def _line(name: str, number: int, points: Points, pose: Pose | None, colour: ColorRGBA) -> Marker:
-    """Return a closed line through points (n, 2) in the frame at ``pose``, open if n is 2; the
-    deletion of the line if ``pose`` is None."""
+    """Return a marker with a line through points (n, 2) in the frame at ``pose``. The line is
+    closed if n is above 2. If ``pose`` is None, return a marker that deletes the line."""
     if pose is None:
         return _deletion(name, number)
     marker = Marker(ns=name, id=number, type=Marker.LINE_STRIP, action=Marker.ADD, color=colour)

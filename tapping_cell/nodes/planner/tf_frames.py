@@ -19,7 +19,7 @@ except ImportError:
     tf2_ros = None
 
 KEPT_S = 60.0
-"""Time for which transforms are kept, which is the maximum age of a goal's stamp."""
+"""Time for which transforms are kept. This time is also the maximum age of a goal's stamp."""
 NEWEST_S = 0.5
 """If a goal's stamp is newer than the newest transform by at most this time (s), the newest
 transform is used."""
@@ -72,5 +72,6 @@ class TfFrames:
 
 
 def open_frames(node: Node) -> Frames:
-    """Return the frames of ``/tf``, or only ``table`` if tf2_ros is not installed."""
+    """Return the source of the frames on ``/tf``. If tf2_ros is not installed, return a source of
+    ``table`` only."""
     return TableOnly() if tf2_ros is None else TfFrames(node)

@@ -9,12 +9,12 @@ from dataclasses import replace
 from tapping_cell.nodes.recorder.recording import ReceivedMessage
 
 SELDOM_NS = 1_000_000_000
-"""Minimum interval between buffered messages of a topic that is recorded seldom."""
+"""Minimum interval between two buffered messages of a topic that is added with ``seldom``."""
 
 
 class MessageBuffer:
-    """Messages of the last seconds before a recording, and then those that are not written yet. All
-    methods may be called from any thread."""
+    """Before a recording, the messages of the last seconds; during a recording, the messages that
+    are not written yet. All methods may be called from any thread."""
 
     def __init__(self, lead: float) -> None:
         """``lead``: time (s) for which messages are kept while there is no recording."""
@@ -27,8 +27,9 @@ class MessageBuffer:
         """Time of the first message of the current bag; None if there is no recording."""
 
     def add(self, message: ReceivedMessage, *, latched: bool, seldom: bool) -> None:
-        """Add a message. ``latched``: the last message of its topic is written at the start of each
-        bag. ``seldom``: the same, and it is dropped if the last one was added recently."""
+        """Add a message. ``latched`` or ``seldom``: the last message of the topic is written at the
+        start of each bag. ``seldom``: the message is dropped if the last message of its topic was
+        added less than ``SELDOM_NS`` before."""
         with self._lock:
             last = self._latched.get(message.topic)
             if seldom and last is not None and message.stamp - last.stamp < SELDOM_NS:
@@ -45,7 +46,7 @@ class MessageBuffer:
 
     def begin(self, now: int, notes_topic: str, notes: bytes) -> None:
         """Begin a recording at ``now`` (ns) with the messages of the last seconds. The bag starts
-        with ``notes`` and with the latched messages that are older."""
+        with ``notes``, followed by the latched messages that are older than these seconds."""
         with self._lock:
             first = self._lead[0].stamp if self._lead else now
             topics = {message.topic for message in self._lead}

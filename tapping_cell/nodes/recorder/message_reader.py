@@ -1,7 +1,7 @@
 """Deserialisation of messages that a node of another version of the cell may have published.
 
-The middleware matches publishers and subscriptions only by the name of their message type, so a
-received message may have another definition than the one in this version.
+The middleware matches publishers and subscriptions only by the name of their message type, so the
+definition of a received message may differ from the definition in this version.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class MessageReader:
         return self._last if time.monotonic() - self._last_at < UNREADABLE_S else ""
 
     def read(self, topic: str, kind: type, data: bytes) -> Any | None:
-        """Return the message; None if the bytes do not match its definition."""
+        """Return the message; None if the bytes do not match the definition of ``kind``."""
         try:
             return deserialize_message(data, kind)
         except (RuntimeError, MemoryError):

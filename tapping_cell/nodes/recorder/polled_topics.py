@@ -22,9 +22,9 @@ class _NeverCalled(CallbackGroup):
 class PolledTopics:
     """Subscriptions whose messages wait in the middleware until they are taken.
 
-    rclpy's executor builds its wait set anew for each message, which costs 0.1 to 0.2 ms. A node
-    that only stores messages can take many at once instead. The middleware keeps as many messages
-    of a topic as the depth of its QoS profile.
+    For each message, rclpy's executor builds its wait set again; this takes 0.1 to 0.2 ms. A node
+    that only stores messages can instead take many messages at once. The depth of a topic's QoS
+    profile is the maximum number of messages of this topic that the middleware keeps.
     """
 
     def __init__(self, node: Node) -> None:

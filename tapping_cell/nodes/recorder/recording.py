@@ -54,10 +54,10 @@ def new_folder(
 ) -> Path:
     """Create a new folder for a run. ``least_free`` is in bytes.
 
-    ``prepared``: if a folder of this name exists and contains no run yet, use it instead of a new
-    one. The verb demo creates such a folder in advance for the nodes' logs. If not ``prepared``, an
-    existing folder belongs to another cell whose run started in the same second, so a number is
-    appended to the name.
+    ``prepared``: if a folder of this name exists and contains no run yet, use this folder instead
+    of a new folder. The verb demo creates such a folder in advance for the nodes' logs. If not
+    ``prepared``, an existing folder belongs to another cell whose run started in the same second,
+    so a number is appended to the name.
 
     Raises:
         CannotRecord: there are too many runs, the free disk space is too small, or the folder
@@ -113,8 +113,8 @@ def run_name(began: float, namespace: str, goal: Any) -> str:
 
 
 def arrangement_name(began: float, namespace: str, report: ArrangementState) -> str:
-    """Return the run name of an arrangement. It contains the goal if there is a single object,
-    otherwise the number of objects."""
+    """Return the run name of an arrangement. The name contains the goal if there is a single
+    object, otherwise the number of objects."""
     goals = [one for one in report.objects if one.has_goal]
     if len(goals) == 1:
         words = f"{goals[0].object_id}_{_goal_words(goals[0].goal_pose)}"
@@ -137,8 +137,9 @@ def _joined(began: float, namespace: str, words: str) -> str:
 
 
 def cell_notes(cell: Cell | None, seed: int) -> dict[str, Any]:
-    """Return the configuration of a run, which is stored in its bag: versions, random seed and, if
-    ``cell`` is known, the objects, tolerance, table and contents of the configuration files."""
+    """Return the configuration of a run, to be stored in its bag. It contains the versions and the
+    random seed. If ``cell`` is known, it also contains the objects, tolerance, table and contents
+    of the configuration files."""
     notes: dict[str, Any] = {"versions": versions(), "seed": seed if seed >= 0 else None}
     if cell is not None:
         table = cell.file.table

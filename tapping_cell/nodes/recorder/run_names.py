@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 LONGEST_NAME = 120
-"""Maximum length in bytes of UTF-8. It is well below the 255 bytes that file systems allow, because
-the recorder appends a number if the name is taken."""
+"""Maximum length in bytes of UTF-8. This limit is well below the 255 bytes that file systems allow,
+because the recorder appends a number if the name is taken."""
 
 
 def is_run_name(name: str) -> bool:

@@ -71,7 +71,8 @@ from tapping_cell.report.run_reader import NOTES, PICTURES
 LEAD_S = 2.0
 """Time by which the start of a bag precedes its goal."""
 TAIL_S = 1.0
-"""Time from the end of a goal to the end of its bag, which thus contains the final observation."""
+"""Time from the end of a goal to the end of its bag. The bag thus contains the final
+observation."""
 SILENCE_S = 30.0
 """Time without a message of the planner after which the recording ends, even if the goal has not
 ended."""
@@ -88,7 +89,8 @@ With a minimum of a full period, such images would not be recorded."""
 LONGEST_PATH = 1024
 DEPTH = 200
 """Queue depth of a topic: the oldest messages are lost if more than this number arrive between two
-polls or, for the topics in FRAMES, before a goal begins. Images at 30 Hz fill it in 6.7 s."""
+polls or, for the topics in FRAMES, before a goal begins. Images at 30 Hz fill the queue in
+6.7 s."""
 
 _STREAM = QoSProfile(
     depth=DEPTH, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.VOLATILE
@@ -106,9 +108,9 @@ STATES: dict[str, type] = {
     "tapper_state": TapperState,
     "arrangement_state": ArrangementState,
 }
-"""Latched topics, in the order in which they are read. arrangement_state must be the last: the
-planner publishes it before the corresponding plan_state, so once that plan_state has been read, the
-arrangement_state has arrived too."""
+"""Latched topics, in the order in which they are read. arrangement_state must be the last of these
+topics: the planner publishes arrangement_state before the corresponding plan_state. Once a
+plan_state has been read, the corresponding arrangement_state has therefore arrived too."""
 STREAMS: dict[str, type] = {
     "/diagnostics": DiagnosticArray,
     "emergency_stop": Bool,
@@ -329,8 +331,8 @@ class RunRecorder(CellNode[Parameters]):
             (now - max(0, clock - received) if received else now, name, data)
             for name, data, received in self._polled.take(names)
         ]
-        # At the beginning of an arrangement, plan_state can only be assigned to the arrangement if
-        # arrangement_state is processed before it.
+        # At the beginning of an arrangement, plan_state can be assigned to the arrangement only if
+        # arrangement_state is processed before plan_state.
         waiting.sort(key=lambda entry: -inf if entry[1] == "arrangement_state" else entry[0])
         for stamp, name, data in waiting:
             if name == PICTURES and not self._is_picture_due(stamp):
@@ -389,8 +391,9 @@ class RunRecorder(CellNode[Parameters]):
         self._ends_at = time.monotonic() + TAIL_S
 
     def _is_late(self, plan: PlanState) -> bool:
-        """Return whether a ``plan_state`` is older than the end of its goal, which is already
-        known. This happens because the order between topics is not guaranteed."""
+        """Return whether a ``plan_state`` is older than the end of its goal, although this end has
+        already been received. Such late messages occur because the order of messages of different
+        topics is not guaranteed."""
         end = self._end
         if end is None or not (self._arranging or same_goal(plan, end)):
             return False

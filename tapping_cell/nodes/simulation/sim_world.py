@@ -227,9 +227,10 @@ class SimWorld(CellNode[Parameters]):
             )
             contacts = self._world.take_contacts()
         if taken == now:
-            # Most images of a slide are not taken at the present time, so they keep the previous
-            # offset between the two clocks. A new offset would shift their stamps relative to each
-            # other if a task switch occurred between reading the clocks.
+            # Only an image that is taken at the present time sets a new offset between the two
+            # clocks. Most images of a slide are taken at other times and keep the previous offset.
+            # A new offset for each of these images would shift their stamps relative to each other
+            # if a task switch occurred between reading the two clocks.
             self._world_began = Time(nanoseconds=clock - round(1e9 * now))
         stamp = self._world_began + Duration(seconds=taken - camera.exposure / 2)
         self._publish_truth(middle, stamp)
