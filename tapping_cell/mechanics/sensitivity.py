@@ -54,10 +54,10 @@ def paper_tap(mirrored: bool = False) -> Tap:
 
     The disk has a radius of 48 mm, a height of 12 mm and a mass of 245.5 g. The friction is 0.17,
     the torque factor 3.64 and the restitution 0.86. The contact friction of 0.20 is derived from
-    the paper's statement that 10 degrees over 10 mm is three times the rotation that one tap can
-    cause. The ball's radius and two impact constants are fitted to the Jacobian. These constants
-    hold for only one direction of rotation: the positive one or, with ``mirrored``, the negative
-    one.
+    the paper's statement that a rotation of 10 degrees over a distance of 10 mm is three times the
+    largest rotation that one tap can cause over this distance. The ball's radius and two impact
+    constants are fitted to the Jacobian. These constants hold for only one direction of rotation:
+    the positive one or, with ``mirrored``, the negative one.
     """
     disk = Disk(radius=0.048, mass=0.2455, height=0.012)
     striker = Striker(mass=_STRIKER_MASS, tip_radius=0.0054, constraint="free")

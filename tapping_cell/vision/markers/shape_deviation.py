@@ -1,8 +1,8 @@
 """Check that the object's marker appears as a square with the size and height that the files state.
 
-A marker that is lifted, tilted or of another size than stated appears as a square of another size,
-or not as a square. A single image does not show which of these three deviations is the cause.
-However, the resulting error of the pose can be estimated from the deviation of the shape. If a
+A marker that is lifted, tilted or not of the stated size appears too large, too small or not
+square. A single image does not show which of these three deviations is the cause. However, the
+resulting error of the pose can be estimated from the deviation of the shape. If a
 marker at the horizontal distance r from the camera is higher than assumed by a fraction s of the
 camera's height, it appears larger by s and further away by s r. A marker tilted by an angle t
 appears rotated by up to t r / (2 h), where h is the camera's height, and sheared or elongated by
@@ -28,8 +28,8 @@ _SHARE, _PIXELS, _SMEARED, _CONFIDENCE = 0.0006, 0.06, 0.3, 5.0
 
 The limit is the sum of four contributions. ``_SHARE`` is a constant relative error (of print and
 lens). ``_PIXELS`` is an error of the side's length in pixels (position of edges within pixels,
-nonlinear grey levels). ``_SMEARED`` is an error of blurred edges in pixels; it is multiplied by p /
-(1 - p), where p is ``MarkerEdges.pull``. ``_CONFIDENCE`` is a number of standard deviations of the
+nonlinear grey levels). ``_SMEARED`` * p / (1 - p) is the error, in pixels, due to blurred edges,
+where p is ``MarkerEdges.pull``. ``_CONFIDENCE`` is a number of standard deviations of the
 noise. In none of 140 images did the deviation exceed this limit. The markers' sides were 28 to 149
 pixels long, and the images included the effects of gamma, Bayer patterns and blur.
 """
