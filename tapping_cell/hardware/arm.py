@@ -102,6 +102,7 @@ class ArmDriver:
         self._fresh: ArmReading | None = None
         self._fault: HardwareFault | None = None
         self._stopped = threading.Event()
+        self._stops_when_opened = False
         self._begin_call()
 
     @property
@@ -149,6 +150,13 @@ class ArmDriver:
         self._fresh = None
         try:
             self._transport.open(timeout)
+            if self._stopped.is_set() or self._stops_when_opened:
+                # The stop was requested while the port was closed, and the arm may still complete
+                # a move of an earlier process.
+                self._transport.stop(self._dialect.opening_stop_bytes)
+                if not self._stopped.is_set():
+                    self._transport.release()
+                self._stops_when_opened = False
             if self._firmware is not None:
                 self.counters.reconnects += 1
             firmware = self._dialect.connect(self._transport.now() + timeout)
@@ -164,6 +172,10 @@ class ArmDriver:
             self._homed = False
             self._confirmed = None
         return firmware
+
+    def stop_when_opened(self) -> None:
+        """Let the next ``connect`` stop the arm as soon as the port is open, without a latch."""
+        self._stops_when_opened = True
 
     def close(self) -> None:
         """Close the line; the next connect decides whether homing remains valid."""

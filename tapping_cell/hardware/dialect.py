@@ -83,6 +83,11 @@ class ArmDialect(Protocol):
     def stop_bytes(self) -> bytes:
         """Bytes that stop the motion immediately, sent outside the queue."""
 
+    @property
+    def opening_stop_bytes(self) -> bytes:
+        """Bytes that stop the motion of a controller that is not identified yet. A controller at
+        rest must remain usable."""
+
     def connect(self, deadline: float) -> Firmware:
         """Identify and set up the controller on a newly opened line.
 

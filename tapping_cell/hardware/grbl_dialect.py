@@ -106,6 +106,11 @@ class GrblDialect(LineDialect[grbl.Frame]):
         """Feed hold and soft reset."""
         return grbl.STOP
 
+    @property
+    def opening_stop_bytes(self) -> bytes:
+        """Feed hold and soft reset; afterwards the arm must be homed, as after every stop."""
+        return grbl.STOP
+
     def connect(self, deadline: float) -> Firmware:
         """Identify the controller and check its version and settings; raise if they are
         unsuitable."""

@@ -96,6 +96,12 @@ class MarlinDialect(LineDialect[marlin.Frame]):
         """``M410`` if the firmware has the emergency parser, else ``M112``; both unnumbered."""
         return marlin.QUICK_STOP if self._emergency_parser else marlin.KILL
 
+    @property
+    def opening_stop_bytes(self) -> bytes:
+        """``M410``. ``M112`` would halt a board at rest until its reset button is pressed. Without
+        the emergency parser, the arm completes the moves that the board has accepted."""
+        return marlin.QUICK_STOP
+
     def connect(self, deadline: float) -> Firmware:
         """Identify the firmware, detect a reset from the line numbers, and set the modes.
 

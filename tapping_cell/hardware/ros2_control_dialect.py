@@ -54,7 +54,7 @@ class Ros2ControlSettings:
 class Ros2ControlDialect:
     """One trajectory controller; see :class:`~tapping_cell.hardware.dialect.ArmDialect`."""
 
-    stop_bytes = b""
+    stop_bytes = opening_stop_bytes = b""
 
     def __init__(self, link: TrajectoryLink, settings: Ros2ControlSettings) -> None:
         self._link = link

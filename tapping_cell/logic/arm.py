@@ -663,7 +663,11 @@ class ArmLogic(DeviceLogic[State, Event]):
             self._error = (ErrorCode.ARM_NOT_CONNECTED, "the arm is not connected")
 
     def before_connect(self, driver: ArmDriver) -> None:
-        """Reset the controller if a person has cleared the state in which it refuses queries."""
+        """Stop the arm first if a stop was received before the port is open. Reset the controller
+        if a person has cleared the state in which it refuses queries."""
+        if self._stops.stopped:
+            # The arm may still complete a move that an earlier process of this node has commanded.
+            driver.stop_when_opened()
         if self._clears:
             self._clears = False
             driver.clear_fault(self.patience)

@@ -197,6 +197,7 @@ class Process:
         self._answers: dict[Any, Callable[[Any], None]] = {}
         self._tick: Timer | None = None
         self._life = 0
+        self._started_at = math.inf
         self._connected = self._configured = False
         self._connecting = False
         """Whether the node tries to connect to its device and therefore handles no timer."""
@@ -210,6 +211,13 @@ class Process:
     def starts(self) -> int:
         """Sum of the number of starts and the number of kills of the process so far."""
         return self._life
+
+    @property
+    def runs_since(self) -> float:
+        """Time since which the process has run without a freeze, s; inf while it does not run."""
+        if not self.alive or self._scheduler.now < self.frozen_until:
+            return math.inf
+        return max(self._started_at, self.frozen_until)
 
     def start(self) -> None:
         """Start the process."""
@@ -229,6 +237,7 @@ class Process:
         for service in self._program.services:
             self._network.serve(self.name, service, self._serve(service))
         delay = self._draw(*START_S)
+        self._started_at = self._scheduler.now + delay
         self._tick = self._scheduler.after(delay, lambda: self._on_tick(life))
         if not self._program.lines:
             self._scheduler.after(delay, lambda: self._configure(life))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from tapping_cell.hardware.axis_units import joints_text
@@ -134,6 +135,9 @@ class InvariantChecker:
     """Time at which the object was last moved by hand, and the object's pose before this motion."""
     held_since: float = math.inf
     """Time since which the panel's emergency stop has been held."""
+    arm_runs_since: Callable[[], float] = lambda: -math.inf
+    """Return the time since which the arm's process has run. While it is ended or frozen, only the
+    hard-wired emergency stop can stop the arm."""
     planner_gone_since: float = math.inf
     """Time at which the planner's process ended; inf while the process exists."""
     promises: dict[tuple[int, int], float] = field(default_factory=dict)
@@ -524,11 +528,12 @@ class InvariantChecker:
                     "moved by itself",
                     "the arm began to move without a person's permission after a crash or a stop",
                 )
-        if now > self.held_since + STOP_MOTION_S:
+        held_since = max(self.held_since, self.arm_runs_since())
+        if now > held_since + STOP_MOTION_S:
             self.violate(
                 "moves while the stop is pressed",
-                f"the arm still moves {now - self.held_since:.2f} s after the panel's"
-                " emergency stop was pressed, and the stop is still held",
+                f"the arm still moves {now - held_since:.2f} s after the panel's emergency stop"
+                " was pressed and the arm's node runs, and the stop is still held",
             )
             self.held_since = math.inf
         stopped = self.stopped_at.get("scara_arm")

@@ -279,6 +279,9 @@ class Trial:
             )
             for name, program in self._programs(*self._lines()).items()
         }
+        if "scara_arm" in self.processes:
+            arm = self.processes["scara_arm"]
+            self.checker.arm_runs_since = lambda: arm.runs_since
         for process in self.processes.values():
             process.on_handled = self._on_handled
             process.on_asked = self._on_asked

@@ -11,12 +11,14 @@ import numpy as np
 import pytest
 
 from tapping_cell.hardware.arm import ArmDriver
+from tapping_cell.hardware.arm_settings import HomingStrategy
 from tapping_cell.hardware.controller_needs import ControllerNeeds, needs_of
 from tapping_cell.hardware.faults import FaultReason, HardwareFault
 from tapping_cell.hardware.grbl_dialect import GrblDialect, GrblSettings
 from tapping_cell.hardware.marlin_dialect import MarlinDialect, MarlinSettings
 from tapping_cell.hardware.scara import ScaraGeometry
 from tapping_cell.hardware.tapper import TapperDriver
+from tapping_cell.simulation.arm_emulator import ArmEmulator
 from tapping_cell.simulation.device_emulator import DeviceEmulator
 from tapping_cell.simulation.fault_layer import FaultLayer
 from tapping_cell.simulation.grbl_emulator import GrblEmulator
@@ -218,3 +220,35 @@ def test_a_board_of_another_kind_is_refused_in_time_without_motion(driver: str, 
         assert not device.moving(line.now())
     if isinstance(device, TapperEmulator):
         assert device.fires == [] and device.state == "UNHOMED"
+
+
+@pytest.mark.parametrize("latched", [True, False])
+@pytest.mark.parametrize("make", [grbl, marlin])
+def test_a_stop_before_the_port_is_open_ends_the_move_of_an_earlier_process(
+    make: Callable[[ControllerNeeds], ArmDriver], latched: bool
+) -> None:
+    """A node that ends during a move leaves the controller moving. If a stop is requested while the
+    next node has not opened the port yet, the stop is sent as soon as the port is open."""
+    earlier = make(MILD)
+    earlier.connect()
+    earlier.home(HomingStrategy.FIRMWARE)
+    line = earlier._transport
+    assert isinstance(line, VirtualTransport)
+    board = line.layer.emulator
+    assert isinstance(board, ArmEmulator)
+    line.write(b"G90\nG1 X20 F120\n")  # 10 s at 2 degrees a second
+    line.sleep(0.5)
+    line.close()
+    assert board.moving(line.now())
+    driver = ArmDriver(line, type(earlier._dialect)(line), ScaraGeometry())
+    if latched:
+        assert not driver.stop()
+        with pytest.raises(HardwareFault) as caught:
+            driver.connect()
+        assert caught.value.reason is FaultReason.STOPPED
+    else:
+        driver.stop_when_opened()
+        driver.connect()
+        assert not driver.homed
+    line.sleep(0.5)
+    assert not board.moving(line.now())
