@@ -66,7 +66,7 @@ def wait_for_rest(graph: Graph) -> None:
 
 
 def cpu_seconds(pid: int) -> float:
-    """Return the user and system time of a process with all its threads, s (proc(5), fields 14 and
-    15)."""
+    """Return the processor time (user plus system) of a process and all its threads, in s: the sum
+    of fields 14 and 15 of ``/proc/PID/stat`` (proc(5))."""
     fields = Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rsplit(")", 1)[1].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")

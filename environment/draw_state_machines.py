@@ -43,8 +43,8 @@ In `Charged` the tapper requests the arm's promise to stand still.
 
 ## Planner
 
-The planner does not latch a stop. An emergency stop ends the planner's goal, and arm and tapper
-refuse the next goal until their stops are cleared.
+The planner does not latch a stop. An emergency stop ends the current goal. The planner refuses
+further goals while the arm or the tapper reports a stop or a fault.
 
 ```mermaid
 {diagram(planner.TABLE, planner.State.IDLE)}

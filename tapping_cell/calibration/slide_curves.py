@@ -77,8 +77,9 @@ class _Curve:
         away = np.union1d(close, np.arange(width, 0.0, -_SPACING))
         ratio = self._terminal + sign * away
         rate = sign * self.table.ratio_rate(ratio)
-        # d ln(left) = d ratio / rate, where `left` is the remaining time. The integrand is smooth
-        # in ln(away), so this is the integration variable.
+        # `rate` is d ratio / d ln(remaining time), so d ln(remaining time) = d ratio / rate. The
+        # integrand is smooth in ln(away), so this is the integration variable. `left` is
+        # ln(remaining time), up to a constant.
         slope = away / np.maximum(rate, 1e-12)
         steps = np.diff(np.log(away)) * (slope[1:] + slope[:-1]) / 2
         left = np.concatenate([[0.0], np.cumsum(steps)])

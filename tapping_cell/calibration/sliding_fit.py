@@ -49,8 +49,8 @@ _LOCAL = 6
 _SHARED = 4
 _LOWEST = (math.log(0.003), math.log(TORQUE_FACTORS[0]), -0.3, -0.3)
 _HIGHEST = (math.log(5.0), math.log(TORQUE_FACTORS[1]), 0.3, 0.3)
-# Prior standard deviation of the centre of pressure over the support's radius; only worn or tilted
-# objects exceed this value.
+# Prior standard deviation of the centre of pressure, divided by the support's radius; only worn or
+# tilted objects have a larger offset.
 _CENTRE_STD = 0.05
 _STARTS = (0.6, 1.5, 3.5)
 # Prior standard deviation of ln(friction of a trial / shared friction) if the friction of a trial

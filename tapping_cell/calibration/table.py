@@ -409,7 +409,8 @@ class _Problem:
             matrix[:split, :split], matrix[:split, split:]
         )
         values, vectors = np.linalg.eigh(0.5 * (reduced + reduced.T))
-        # Three directions have no information: translations and rotation of the whole table.
+        # The images do not determine three combinations of the marker parameters: the two
+        # translations and the rotation of the whole table.
         inverse_values = np.concatenate([np.zeros(3), 1.0 / values[3:]])
         free = 8 * int(self.used.sum()) - len(matrix) + 3
         factor = max(1.0, cost / max(free, 1))

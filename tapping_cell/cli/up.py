@@ -322,8 +322,8 @@ def add_truth_arguments(parser: argparse.ArgumentParser) -> None:
         "--truth-object",
         type=Path,
         metavar="FILE",
-        help="object file with the true parameters, if it differs from the planner's, such as a "
-        "fitted one (only in simulation; default: the planner's)",
+        help="object file with the true parameters; needed only if the planner uses another file, "
+        "such as a fitted one (only in simulation; default: the planner's file)",
     )
 
 

@@ -56,7 +56,7 @@ FLUID_NC = GrblController(
     alarms={
         10: "the spindle did not answer",
         11: "a control input is active",
-        12: "a switch is closed on both ends of an axis",
+        12: "a limit switch is closed, but it is not clear at which end of the axis",
         13: "the emergency stop input is active",
         14: "it has not been homed since it was switched on",
         15: "it was just switched on",

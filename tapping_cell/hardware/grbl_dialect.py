@@ -219,7 +219,7 @@ class GrblDialect(LineDialect[grbl.Frame]):
             if self._settings.without_switch:
                 raise HardwareFault(FaultReason.HOMING_FAILED, self._not_at_its_mark())
             self._pump(POLL_PERIODS[1])
-        # The settings may have been changed since the connect, so compare them again.
+        # The settings may have been changed since the connection was made, so compare them again.
         controller_needs.refuse(self._compared(deadline))
         if self._homed_unknown:
             raise HardwareFault(FaultReason.HOMING_FAILED, self._homed_unknown)

@@ -32,7 +32,7 @@ PAPER_STRIKER_ERROR = (7.5, 7.5, 5.0)
 _STRIKER_MASS = 0.05
 # Impact constants B1 and B3 (see impact.py), divided by B2, fitted to the x and theta rows of
 # PAPER_JACOBIAN. The rms residual is 4.5 % of the largest element of each row (0.135 and 0.0251).
-# B2 is that of a free striker.
+# B2 has the value of a free striker.
 _FITTED_B1 = 2.650
 _FITTED_B3 = -0.2686
 

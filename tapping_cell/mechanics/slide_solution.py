@@ -187,6 +187,6 @@ class SlideSolution:
 
 
 def grade_inverse(p: Array) -> Array:
-    """Compute tau from the graded variable p, both in [0, 1]."""
+    """Compute tau from p (see the module's docstring); both are in [0, 1]."""
     square: Array = p * p
     return square / (square + (1 - p) ** 2)

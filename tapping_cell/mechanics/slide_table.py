@@ -210,8 +210,8 @@ class SlideTable:
 
     def _inverse_guess(self) -> Array:
         """Compute the table of p as a function of the ratio of the travels. This ratio is graded
-        like tau. Return the coefficients of Hermite polynomials, first of the translating and then
-        of the spinning regime."""
+        like tau. Return the coefficients of its cubic pieces: first those for the translating
+        regime, then those for the spinning regime."""
         p = _floats(np.linspace(0.0, 1.0, PIECES + 1))
         halves = []
         for half in range(2):

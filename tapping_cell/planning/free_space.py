@@ -307,7 +307,8 @@ def _tips_around(space: StrikeSpace) -> list[Array]:
     """Return the tip poses at rest around an object at the origin, (directions, 3), one array per
     turn.
 
-    The poses for round bodies follow from their mechanics. Polygons can be tapped in only a few
+    For a round body, the mechanics model plans a typical tap in each direction, and the rest pose
+    of this tap is returned. Polygons can be tapped in only a few
     directions at a given orientation; they are represented by taps through the centre of the
     bounding circle.
     """

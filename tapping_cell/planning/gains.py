@@ -388,8 +388,8 @@ def command_of(
     orientation: ArrayLike,
     cone_slope: float = math.inf,
 ) -> Array:
-    """Compute ``Gains.command`` from ``number``: ``Gains.value``, (..., 6), whose leading axes
-    broadcast with those of the taps."""
+    """Compute what ``Gains.command`` returns. ``number`` (..., 6) contains the parameters of
+    ``Gains.value``; its leading axes must broadcast with those of the taps."""
     travel = np.asarray(distance, dtype=float)
     size = np.maximum(np.abs(travel), 1e-12)
     along = np.asarray(heading, dtype=float) + np.where(travel < 0.0, math.pi, 0.0)
@@ -402,8 +402,8 @@ def command_of(
 
 
 def prediction_of(number: Array, commanded: ArrayLike, orientation: ArrayLike) -> Array:
-    """Compute ``Gains.predict`` from ``number``: ``Gains.value``, (..., 6), whose leading axes
-    broadcast with those of the taps."""
+    """Compute what ``Gains.predict`` returns. ``number`` (..., 6) contains the parameters of
+    ``Gains.value``; its leading axes must broadcast with those of the taps."""
     command = np.asarray(commanded, dtype=float)
     length = np.hypot(command[..., 0], command[..., 1])
     slope = command[..., 2] / np.maximum(length, 1e-12)

@@ -48,8 +48,8 @@ class MultiPlanner:
     """Planner whose taps lead to a cone with a lower number, and thus with fewer remaining taps,
     for all errors on the error line.
 
-    Among the taps with this guarantee it chooses the tap whose expected end is in the lowest cone;
-    if there are several, it chooses the shortest.
+    Among these taps it chooses the tap that is expected to reach the cone with the lowest number.
+    If there are several such taps, it chooses the shortest.
     """
 
     name = "multi"

@@ -2,7 +2,8 @@
 
 The impact is perfectly inelastic along the contact normal and frictionless along the tangent, so
 afterwards the two contact points have the same velocity along the normal. The impact uses the
-objects' masses, moments of inertia and lever arms, so an off-centre hit rotates both objects.
+objects' masses, moments of inertia and lever arms, so a collision rotates each object whose centre
+of mass is not on the line of the contact normal.
 """
 
 from __future__ import annotations

@@ -25,7 +25,7 @@ from tapping_cell.verification.fixed_cell import PhysicalFixedCell
 from tapping_cell.verification.host import PlannedFreeze
 
 OUT_S = 2.0
-"""Time for which a striker remains off its mount after it was pulled off during a freeze, s."""
+"""Time, in s, for which a striker that was pulled off its mount during a freeze stays off it."""
 
 
 def _cell_of(trial: FaultTarget) -> PhysicalFixedCell:

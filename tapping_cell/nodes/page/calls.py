@@ -1,4 +1,5 @@
-"""Calls of other nodes at the request of a page; the page receives the outcome."""
+"""Call services and actions of other nodes at the request of a page, and report the outcome to the
+page."""
 
 from __future__ import annotations
 

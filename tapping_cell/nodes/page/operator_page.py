@@ -95,7 +95,8 @@ class Parameters(ObjectParameters):
     """Parameters of operator_page."""
 
     address: str = text(
-        "address on which the page is served; 0.0.0.0 for the whole network, with a token",
+        "address on which the page is served; 0.0.0.0: the whole network, and the page requires a "
+        "token",
         default="localhost",
     )
     port: int = quantity("TCP port of the page; 0 for any free port", "", 0, 65535, default=8010)

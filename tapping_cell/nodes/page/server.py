@@ -435,7 +435,8 @@ class PageSocket(_Guarded, WebSocketHandler):
             )
 
     def _is_too_much(self, request: Request) -> bool:
-        """Return whether a page exceeds its request limit."""
+        """Count a request, unless it is a stop or a frequent one. Return whether its page exceeds
+        its limit."""
         if request == Command("stop") or isinstance(request, Frequent):
             return False
         return self._commands.add() > MAX_COMMANDS

@@ -44,8 +44,8 @@ class DeferredActionServer:
 
     def answer(self, handle: ServerGoalHandle, result: Any) -> None:
         """Finish a goal with its result."""
-        # The goal is not executed until now, because an execute callback that waits for the result
-        # would occupy the single-threaded executor completely.
+        # The goal is executed only now that its result is known, because an execute callback that
+        # waits for the result would block the single-threaded executor.
         self._results[bytes(handle.goal_id.uuid)] = result
         handle.execute()
 

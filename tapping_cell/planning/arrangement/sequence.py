@@ -225,7 +225,7 @@ class SequencePlanner:
         goal = blocked.area(blocked.target)
         if not any(gap(area, goal) < _margin(blocked) for area in areas):
             return self._fits_and_path(blocked, areas, poses[blocked.name])
-        # Other objects occupy the goal as well, so the move alone does not open it. The move helps
+        # Other objects still occupy the goal, so this move alone does not free it. The move helps
         # if ``body`` occupies part of the goal.
         return gap(body.area(scene.poses[body.name]), goal) < _margin(blocked)
 

@@ -43,8 +43,9 @@ def _once(image: Image, quad: Array, modules: int) -> Array:
     # In the image, y points down and the corners are clockwise, so the outward direction is to the
     # left of the direction along a side.
     outward = np.stack([along[:, 1], -along[:, 0]], axis=-1) / length[:, None]
-    # The search range across a side is proportional to the distance to the opposite side, because
-    # in an oblique view, a module is narrower across two of the sides than along them.
+    # In an oblique view, the modules are foreshortened in one direction. The search range
+    # perpendicular to a side is therefore a multiple of the module's size in this direction, which
+    # is computed from the distance to the opposite side.
     depth = np.abs((outward * (quad[[2, 3, 0, 1]] - quad)).sum(axis=1))
     reach = np.clip(_REACH * depth / modules, 1.5, _FURTHEST)
     share = np.asarray(np.linspace(0.1, 0.9, _ALONG), dtype=float)

@@ -346,7 +346,8 @@ def _matched(view: View, outline: ObjectOutline, rim: Array) -> Iterator[_Place]
     middle, radii = centroid(rim), _radii(rim)
     model = outline.radii()
     size = float(radii.mean() / model.mean())
-    # Walls and thresholds enlarge the rim uniformly, so only the shape is compared.
+    # The visible side wall of the object and the choice of the threshold change the size of the
+    # rim. The rim is therefore scaled to the outline's size, and only the shapes are compared.
     differences = turn_differences(radii / size, model)
     best = int(differences.argmin())
     turn = 0.0 if outline.vertices is None else 2.0 * math.pi * best / len(model)

@@ -227,8 +227,8 @@ def test_a_board_of_another_kind_is_refused_in_time_without_motion(driver: str, 
 def test_a_stop_before_the_port_is_open_ends_the_move_of_an_earlier_process(
     make: Callable[[ControllerNeeds], ArmDriver], latched: bool
 ) -> None:
-    """A node that ends during a move leaves the controller moving. If a stop is requested while the
-    next node has not opened the port yet, the stop is sent as soon as the port is open."""
+    """If a node exits during a move, the controller continues the move. If a stop is requested
+    before the next node has opened the port, the stop is sent as soon as the port is open."""
     earlier = make(MILD)
     earlier.connect()
     earlier.home(HomingStrategy.FIRMWARE)
