@@ -247,7 +247,12 @@ class TrialCell:
         # A fault while withdrawing does not change the outcome, because the shot is over. The next
         # tap begins with a recovery of the cell.
         with suppress(HardwareFault):
-            arm_jobs.withdraw(self._arm_context, self._withdrawal, not_before=self.clock.now)
+            arm_jobs.withdraw(
+                self._arm_context,
+                self._withdrawal,
+                not_before=self.clock.now,
+                free_at=lambda now: now.steady,
+            )
         return outcome
 
     def _tap(self) -> FireOutcome:

@@ -343,7 +343,10 @@ class ArmLogic(DeviceLogic[State, Event]):
         """Start a move along the path that ``plan`` computes from the joint values of the arm at
         rest."""
         not_before = self._free_at(now)
-        self._run("withdraw", partial(arm_jobs.withdraw, plan=plan, not_before=not_before))
+        withdraw = partial(
+            arm_jobs.withdraw, plan=plan, not_before=not_before, free_at=self._free_at
+        )
+        self._run("withdraw", withdraw)
 
     def _refusal(self, command: TapCommand, now: Now) -> CodedError | None:
         """Return why a tap command is refused, or None if it is accepted."""

@@ -15,6 +15,7 @@ from tapping_cell.hardware.motion import (
     withdraw_path,
 )
 from tapping_cell.hardware.scara import Joints, TipPose
+from tapping_cell.logic.clock import Now
 from tapping_cell.logic.effects import JobContext
 
 
@@ -92,14 +93,21 @@ def place(
 
 
 def withdraw(
-    context: JobContext, plan: Callable[[Joints], Sequence[Waypoint]], not_before: float
+    context: JobContext,
+    plan: Callable[[Joints], Sequence[Waypoint]],
+    not_before: float,
+    free_at: Callable[[Now], float],
 ) -> MotionEnd:
     """Leave the strike pose along the path that ``plan`` returns for the present joints.
-    ``not_before``: earliest start on the steady clock, s."""
+
+    ``not_before``: earliest start, in s of the steady clock. ``free_at``: query for the earliest
+    start after the joints were read; a report that the striker is charged may have arrived since
+    the job began.
+    """
     driver: ArmDriver = context.driver
     here = driver.read_joints()
     path = plan(here)
-    _wait(context, not_before)
+    _wait(context, max(not_before, context.ask(free_at)))
     complete = _move_along(context, path)
     return MotionEnd(complete, _make_reading(driver, driver.read()))
 

@@ -315,6 +315,12 @@ MUTANTS: tuple[Mutant, ...] = (
         "not_before = self._free_at(now)",
         "not_before = 0.0",
         "S1",
+        Mutant(
+            "withdraws before its promise is over",
+            "tapping_cell.logic.arm",
+            "free_at=self._free_at",
+            "free_at=lambda now: 0.0",
+        ),
         kinds=("freeze at a shot", "received by one"),
     ),
     Mutant(

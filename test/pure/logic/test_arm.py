@@ -5,15 +5,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
+from types import SimpleNamespace
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from test_permit import CELL, TAP, Pair, at, jobs, messages
 
+from tapping_cell.hardware.arm_settings import ArmReading
 from tapping_cell.hardware.faults import FaultReason, HardwareFault
 from tapping_cell.hardware.scara import Joints
 from tapping_cell.logic import arm as arms
-from tapping_cell.logic import permit
+from tapping_cell.logic import arm_jobs, permit
 from tapping_cell.logic.arm_jobs import Reading
 from tapping_cell.logic.effects import Effect, JobEnded, RunJob
 from tapping_cell.logic.host import Activated, Configured, Deactivated
@@ -219,6 +222,32 @@ def test_an_arm_that_was_deactivated_homes_only_when_the_striker_is_discharged(
     (job,) = (e.job for e in made if isinstance(e, RunJob))
     assert isinstance(job.run, partial)
     assert job.run.keywords["not_before"] == START + 1.0 + arms.DISCHARGED_S
+
+
+def test_a_striker_charged_while_the_withdrawal_reads_the_joints_delays_the_motion() -> None:
+    pair = in_position()
+    command = pair.command(TapCommand.WITHDRAW, at(START + 1.0))
+    made = pair.arm.on_message("tap_command", command, at(START + 1.0))
+    (job,) = (e.job for e in made if isinstance(e, RunJob))
+    assert isinstance(job.run, partial)
+    slept: list[float] = []
+
+    class Context:
+        """Context of the job: the report arrives while the driver reads the joints."""
+
+        driver = SimpleNamespace(
+            read_joints=lambda: report(pair, TapperState.CHARGED, START + 1.005),
+            read=lambda: ArmReading(Joints(*CELL.file.arm.park), False, "", True, START),
+            homed=True,
+        )
+        now = staticmethod(lambda: at(START + 1.01))
+        sleep = staticmethod(slept.append)
+        abandoned = staticmethod(lambda: True)
+        ask = staticmethod(lambda query: query(at(START + 1.01)))
+
+    keywords = job.run.keywords | {"plan": lambda here: ()}
+    arm_jobs.withdraw(Context(), **keywords)
+    assert slept == [pytest.approx(arms.DISCHARGED_S - 0.005)]
 
 
 def test_a_tapper_that_always_reports_charged_holds_the_arm_for_a_limited_time() -> None:
