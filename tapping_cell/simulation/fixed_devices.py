@@ -1,4 +1,5 @@
-"""Simulated boards of tappers at fixed mounts on pseudo-terminals, connected to the world."""
+"""Simulated boards of the fixed tappers. Each board is reached through a pseudo-terminal and acts
+on the simulated world."""
 
 from __future__ import annotations
 

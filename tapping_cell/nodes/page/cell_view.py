@@ -240,7 +240,7 @@ class CellView:
         return Mode("ready", "the cell accepts goals")
 
     def state(self) -> dict[str, object]:
-        """Return all values that change."""
+        """Return the current state of the cell, as the page displays it."""
         mode = self.mode()
         sentence = with_code(mode.sentence, mode.code)
         if mode.word != self._mode:

@@ -126,7 +126,7 @@ class _Ranking:
         return total
 
     def _given(self, poses: Array, commanded: Array) -> NDArray[np.bool_]:
-        """Return which displacements are possible with some contact."""
+        """Return which of the displacements ``commanded`` a tap can produce at the given poses."""
         return np.asarray(self._tap.reachable(commanded, poses))
 
 

@@ -409,7 +409,8 @@ def test_an_arm_that_appears_with_the_tap_is_not_the_cells_own() -> None:
 
 
 def not_before(pair: Pair, time: float) -> float:
-    """Return the time before which a withdrawn arm does not begin to move."""
+    """Command the arm to withdraw at ``time``, and return the earliest time at which this motion
+    may begin."""
     withdraw = pair.command(TapCommand.WITHDRAW, at(time))
     made = list(pair.arm.on_message("tap_command", withdraw, at(time)))
     while not (withdrawals := withdrawing(made)):
