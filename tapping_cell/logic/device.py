@@ -315,10 +315,12 @@ class DeviceLogic(ABC, Generic[State, Event]):
         else:
             self._effects.append(StopWire())
             self._defect(fault, now)
+            self._overtaken(event, now)
 
     def _defect(self, error: Exception, now: Now) -> None:
         self._abandon()
         self._job = None
+        self._reading = None  # its end must not replace the report of the defect
         self._fail(now)
         self._set_error(
             ErrorCode.INTERNAL,

@@ -110,7 +110,7 @@ TABLE = table(
         (tuple(State), Event.STOP, (S.STOPPED,)),
         ((S.FAULT, S.STOPPED, S.DISCONNECTED), Event.CLEAR, (S.CLEARING,)),
         ((S.CLEARING,), Event.CLEARED, (S.SAFE,)),
-        (UNSTOPPED, Event.CLOSED, (S.DISCONNECTED,)),
+        (tuple(State), Event.CLOSED, (S.DISCONNECTED,)),
     ]
 )
 WIRE = {
@@ -231,6 +231,7 @@ class TapperLogic(DeviceLogic[State, Event]):
         self._fixed = False
         self._reported = TapperState(measured_speed=math.nan)
         self._fire_job: int | None = None
+        """Job of the last shot."""
         self._set_up = options.set_up
         self._enabling = EnablingDevice()
 
@@ -351,6 +352,10 @@ class TapperLogic(DeviceLogic[State, Event]):
         self._reported.key_digest = 0
         self._reported.measured_speed = math.nan
 
+    def _awaits_outcome(self) -> bool:
+        """Return whether a tap was accepted whose outcome is not known yet."""
+        return self._reported.tap_id != 0 and self._reported.outcome == TapperState.NONE
+
     def _refusal(self, command: TapCommand, now: Now) -> CodedError | None:
         """Return why a tap command is refused, or None if it is accepted."""
         if not self._active or not self._configured:
@@ -387,11 +392,11 @@ class TapperLogic(DeviceLogic[State, Event]):
     def _refuse(self, command: TapCommand, refusal: CodedError, now: Now) -> None:
         code, sentence = refusal
         self._log(LogLevel.ERROR, f"tap {command.tap_id} refused: {sentence}")
-        # While another tap is under way, the published state refers only to that tap, so the
-        # refused tap is not recorded. An id above the largest valid id is not recorded either,
-        # because it would become the last id.
+        # Until the outcome of the last accepted tap is known, possibly after a stop, the published
+        # state refers only to that tap, so the refused tap is not recorded. An id above the
+        # largest valid id is not recorded either, because it would become the last id.
         new = self._last_tap_id < command.tap_id <= tap_commands.largest_id(self._last_tap_id, now)
-        if new and self.state not in SERVING:
+        if new and not self._awaits_outcome():
             self._last_tap_id = command.tap_id
             if self._used is not None:
                 # Before the board is read, no outcome is published: the tap may have been fired by
@@ -477,6 +482,7 @@ class TapperLogic(DeviceLogic[State, Event]):
                 post_replies=self._set_up,
             ),
         )
+        self._fire_job = self._job
 
     def _ask_arm(self, now: Now) -> None:
         assert self._tap is not None
@@ -658,12 +664,14 @@ class TapperLogic(DeviceLogic[State, Event]):
 
     def _overtaken(self, event: JobEnded, now: Now) -> None:
         # The fire job may end after a stop, a fault or a reconnection. The outcome that it returns
-        # is still valid.
-        if self._reported.outcome == TapperState.NONE and self._reported.tap_id:
-            if isinstance(event.result, FireEnd) and event.result.shot == self._reported.tap_id:
-                self._reported.outcome = OUTCOMES[event.result.outcome]
-            elif event.fault is not None and event.job == self._fire_job:
-                self._reported.outcome = TapperState.NOT_FIRED
+        # is still valid, also if the node was closed meanwhile and reported UNKNOWN.
+        if isinstance(event.result, FireEnd) and event.result.shot == self._reported.tap_id:
+            self._reported.outcome = OUTCOMES[event.result.outcome]
+        elif event.job == self._fire_job and self._awaits_outcome():
+            # A HardwareFault occurred before FIRE was sent. Any other exception is a defect of this
+            # program, which may have occurred after FIRE was sent.
+            before = isinstance(event.fault, HardwareFault)
+            self._reported.outcome = TapperState.NOT_FIRED if before else TapperState.UNKNOWN
 
     def _read_done(self, result: Any, now: Now) -> None:
         self._take_in(result)
@@ -757,7 +765,7 @@ class TapperLogic(DeviceLogic[State, Event]):
             self._set_error(*LATCHED)
             return
         self._machine.move(event, S.SAFE)
-        unknown = self._reported.outcome == TapperState.UNKNOWN
+        unknown = self._error[0] == ErrorCode.TAPPER_OUTCOME_UNKNOWN
         if not unknown or event is Event.CLEARED:
             self._error = (ErrorCode.NONE, "")
 
@@ -772,8 +780,11 @@ class TapperLogic(DeviceLogic[State, Event]):
         return of_tapper(fault)
 
     def _closed(self) -> None:
-        if self.state is not S.STOPPED:
-            self._stop_tap()
+        self._stop_tap()
+        if self._awaits_outcome():
+            # The host may not report the end of the shot any more.
+            self._reported.outcome = TapperState.UNKNOWN
+        if not self._stops.stopped:
             self._machine.move(Event.CLOSED, S.DISCONNECTED)
             self._error = (ErrorCode.TAPPER_NOT_CONNECTED, "the tapper is not connected")
 
@@ -781,7 +792,6 @@ class TapperLogic(DeviceLogic[State, Event]):
         """End the tap. If a shot is under way, its outcome is reported when the job ends."""
         if self._tap is not None and self.state is not S.FIRING:
             self._reported.outcome = TapperState.NOT_FIRED
-        self._fire_job = self._job if self.state is S.FIRING else None
         self._tap = self._permit = None
         self._overtake()
 

@@ -1,4 +1,5 @@
-"""The outcome of a shot when two replies from the board contradict each other."""
+"""The outcome of a shot when two replies from the board contradict each other, or when a stop, a
+defect or a shutdown of the node occurs during the shot."""
 
 from __future__ import annotations
 
@@ -7,17 +8,25 @@ from dataclasses import replace
 from types import SimpleNamespace
 from typing import cast
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from test_permit import board
+from test_permit import CELL, START, TAP, Pair, at, board, jobs, messages
 
+from tapping_cell.hardware.faults import FaultReason, HardwareFault
 from tapping_cell.hardware.tapper import FireOutcome, FireResult
 from tapping_cell.hardware.tapper_protocol import Reply
 from tapping_cell.hardware.tapper_protocol import State as BoardState
 from tapping_cell.logic import tapper_jobs
-from tapping_cell.logic.effects import JobContext
+from tapping_cell.logic.effects import Answer, JobContext, JobEnded
+from tapping_cell.logic.host import Configured, ShutDown
+from tapping_cell.logic.tapper import TapperLogic
+from tapping_cell.logic.tapper_jobs import FireEnd, Status
+from tapping_cell.messages import ErrorCode, TapCommand, TapperState
 
 SHOT = 7
+STOPPED = HardwareFault(FaultReason.STOPPED, "a stop is latched")
+PROGRAM_ERROR = ValueError("a defect")
 
 
 class Line:
@@ -44,3 +53,116 @@ def test_an_outcome_that_the_board_does_not_confirm_is_unknown(
     agrees = (reported is FireOutcome.FIRED) == (last_fired == SHOT)
     assert end.outcome is (reported if agrees else FireOutcome.UNKNOWN)
     assert agrees or reported is FireOutcome.UNKNOWN or "contradict" in end.sentence
+
+
+def firing() -> tuple[TapperLogic, int]:
+    """Return a tapper that fires, and the number of the job of its shot."""
+    pair = Pair()
+    call = pair.begin()
+    made = pair.arm.on_request("hold_still", call.request, 1, at(START + 0.002))
+    (answer,) = [effect for effect in made if isinstance(effect, Answer)]
+    (fire,) = jobs(pair.tapper.on_answer(call.token, answer.response, at(START + 0.004)))
+    return pair.tapper, fire
+
+
+def idle() -> TapperLogic:
+    pair = Pair()
+    pair.configure_tapper(at(START))
+    return pair.tapper
+
+
+def reported(tapper: TapperLogic, steady: float) -> TapperState:
+    (state,) = messages(tapper.on_tick(at(steady)), "tapper_state")
+    return state
+
+
+def stop(tapper: TapperLogic) -> None:
+    tapper.on_request("~/stop", None, 1, at(START + 0.01))
+
+
+def defect(tapper: TapperLogic) -> None:
+    tapper.on_defect(PROGRAM_ERROR, at(START + 0.01))
+
+
+FIRED = FireEnd(TAP, FireOutcome.FIRED, "", None, None, None, None)
+
+
+@pytest.mark.parametrize("interruptions", [(stop,), (stop, stop), (defect,), (stop, defect)])
+@pytest.mark.parametrize(
+    ("end", "outcome"),
+    [
+        ({"fault": STOPPED}, TapperState.NOT_FIRED),
+        ({"fault": PROGRAM_ERROR}, TapperState.UNKNOWN),
+        ({"result": FIRED}, TapperState.FIRED),
+    ],
+    ids=["stopped", "program error", "fired"],
+)
+def test_a_shot_that_is_interrupted_gets_its_true_outcome(
+    interruptions: tuple[Callable[[TapperLogic], None], ...], end: dict[str, object], outcome: int
+) -> None:
+    tapper, fire = firing()
+    for interrupt in interruptions:
+        interrupt(tapper)
+    assert reported(tapper, START + 0.02).outcome == TapperState.NONE
+    tapper.on_job(JobEnded(fire, **end), at(START + 0.1))
+    assert reported(tapper, START + 0.11).outcome == outcome
+
+
+def test_a_shot_whose_job_ends_by_a_program_error_may_have_been_fired() -> None:
+    tapper, fire = firing()
+    tapper.on_job(JobEnded(fire, fault=PROGRAM_ERROR), at(START + 0.1))
+    state = reported(tapper, START + 0.11)
+    assert (state.state, state.outcome) == (TapperState.FAULT, TapperState.UNKNOWN)
+    assert state.error_code == ErrorCode.INTERNAL
+
+
+@pytest.mark.parametrize("stopped", [False, True])
+def test_a_shot_during_which_the_node_is_closed_may_have_been_fired(stopped: bool) -> None:
+    """The outcome of the shot replaces UNKNOWN if the host still reports the end of the shot."""
+    tapper, fire = firing()
+    if stopped:
+        stop(tapper)
+    tapper.on_lifecycle(ShutDown(), at(START + 0.02))
+    assert reported(tapper, START + 0.03).outcome == TapperState.UNKNOWN
+    tapper.on_job(JobEnded(fire, FIRED), at(START + 0.1))
+    assert reported(tapper, START + 0.11).outcome == TapperState.FIRED
+
+
+def test_a_refused_tap_does_not_hide_the_outcome_of_the_shot_under_way() -> None:
+    tapper, fire = firing()
+    stop(tapper)
+    other = replace(Pair().command(TapCommand.TAP, at(START)), tap_id=TAP + 1)
+    tapper.on_message("tap_command", other, at(START + 0.02))
+    assert reported(tapper, START + 0.03).tap_id == TAP
+    tapper.on_job(JobEnded(fire, FIRED), at(START + 0.1))
+    state = reported(tapper, START + 0.11)
+    assert (state.tap_id, state.outcome) == (TAP, TapperState.FIRED)
+    # With the outcome known, a refused tap is reported again.
+    tapper.on_message("tap_command", replace(other, tap_id=TAP + 2), at(START + 0.2))
+    state = reported(tapper, START + 0.21)
+    assert (state.tap_id, state.outcome) == (TAP + 2, TapperState.NOT_FIRED)
+
+
+def test_a_read_that_ends_after_a_defect_does_not_replace_its_report() -> None:
+    tapper = idle()
+    (read,) = jobs(tapper.on_tick(at(START + 1.0)))
+    defect(tapper)
+    tapper.on_job(JobEnded(read, fault=STOPPED), at(START + 1.1))
+    state = reported(tapper, START + 1.2)
+    assert (state.state, state.error_code) == (TapperState.FAULT, ErrorCode.INTERNAL)
+
+
+@pytest.mark.parametrize("latched", [True, False])
+def test_a_node_can_be_configured_again_after_a_stop_at_the_board(latched: bool) -> None:
+    """``latched``: whether the board still reports its stop when the node is configured again."""
+    tapper = idle()
+    (read,) = jobs(tapper.on_tick(at(START + 1.0)))
+    pressed = replace(board(BoardState.STOPPED), stop_latched=True)
+    tapper.on_job(JobEnded(read, Status(pressed, 0)), at(START + 1.0))
+    tapper.on_lifecycle(ShutDown(), at(START + 1.1))
+    assert reported(tapper, START + 1.2).state == TapperState.DISCONNECTED
+    answer = pressed if latched else board(BoardState.SAFE)
+    tapper.on_lifecycle(Configured(CELL, answer), at(START + 1.3))
+    state = reported(tapper, START + 1.4)
+    assert state.state == (TapperState.STOPPED if latched else TapperState.SAFE)
+    assert state.error_code == (ErrorCode.TAPPER_STOPPED if latched else ErrorCode.NONE)
