@@ -353,9 +353,10 @@ class TapperDriver(RecordingTapper):
 
         The tapper discharges automatically ``timeout`` s after the request, or 500 ms after the
         last frame. A carriage at an unknown position is homed first; if the carriage is returning,
-        the call waits. ``go_on`` is called every few milliseconds. When ``go_on`` returns False,
-        DISCHARGE is sent immediately, and the reply is returned with a state other than CHARGED.
-        ``shot`` must be greater than every shot number charged before, by at most ``MAXIMUM_JUMP``.
+        the call waits. Neither is begun again after ``home_timeout``. ``go_on`` is called every few
+        milliseconds. When ``go_on`` returns False, DISCHARGE is sent immediately, and the reply is
+        returned with a state other than CHARGED. ``shot`` must be greater than every shot number
+        charged before, by at most ``MAXIMUM_JUMP``.
         Raises HardwareFault: SHOT_SPENT, INTERLOCK, STOPPED, OUT_OF_RANGE, TIMEOUT, BOARD_RESET,
         REJECTED, DISCONNECTED, HOMING_FAILED, POSITION_LOST, STRIKER_AWAY, SETTINGS_MISMATCH,
         NEEDS_PERSON.
@@ -377,6 +378,10 @@ class TapperDriver(RecordingTapper):
                 Command.CHARGE, shot, energy_uj, round(timeout * 1e3), *_named(channel)
             )
             if reply.result is Result.NOT_HOMED and reply.state is State.UNHOMED:
+                if not go_on():
+                    return self.discharge()
+                if self._transport.now() > until:
+                    raise self._refusal(reply)
                 reply = self.home(go_on)
                 if reply.state is not State.SAFE:
                     return reply
@@ -564,7 +569,8 @@ class TapperDriver(RecordingTapper):
     def _unknown(self, shot: int, release_by: float, why: str) -> FireResult:
         result = self._unknown_result(shot, release_by, why)
         rest = release_by - self._transport.now()
-        if rest > 0 and not self._stopped.is_set():
+        if rest > 0:
+            # Wait even during a stop, because the stop may have been lost on its way to the board.
             self._transport.sleep(rest)
         return result
 

@@ -14,7 +14,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import fields, replace
 
 from tapping_cell.hardware.faults import FaultReason, HardwareFault
-from tapping_cell.hardware.tapper import FireResult, TapperCounters, TapperDriver
+from tapping_cell.hardware.tapper import FireOutcome, FireResult, TapperCounters, TapperDriver
 from tapping_cell.hardware.tapper_protocol import Reply, State
 
 CHANNELS_PER_BOARD = 32
@@ -148,7 +148,7 @@ class TapperBoards:
         fired but discharged.
         """
         driver = self._drivers[self._charged]
-        asked_at = driver.now()
+        asked_at = checked_at = driver.now()
         try:
             self._require_rest(self._charged)
         except HardwareFault:
@@ -158,9 +158,21 @@ class TapperBoards:
         def allowed(by: float) -> bool:
             # If this process was frozen after the queries, the other boards' replies are too old to
             # allow the shot.
+            nonlocal checked_at
+            checked_at = driver.now()
             return driver.now() - asked_at <= OTHERS_ASKED_S and still_allowed(by)
 
-        return driver.fire(shot, window, allowed if len(self._drivers) > 1 else still_allowed)
+        result = driver.fire(shot, window, allowed if len(self._drivers) > 1 else still_allowed)
+        age = checked_at - asked_at
+        if result.outcome is not FireOutcome.NOT_FIRED or result.fault or age <= OTHERS_ASKED_S:
+            return result
+        late = HardwareFault(
+            FaultReason.TIMEOUT,
+            f"the replies of the other boards were {age:.3f} s old at the last check before shot"
+            f" {shot} (limit {OTHERS_ASKED_S:.3f} s), so it was not fired: this computer or a line"
+            " was too slow; reduce the computer's load and check the cables of all boards",
+        )
+        return replace(result, sentence=late.sentence, fault=late)
 
     def wait_for_return(self, go_on: Callable[[], bool] = lambda: True) -> Reply:
         """Wait until the released striker is back, and return the state of all boards."""

@@ -3,6 +3,7 @@ the other boards reply."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import cast
 
 import pytest
@@ -13,6 +14,7 @@ from tapping_cell.hardware.faults import FaultReason, HardwareFault
 from tapping_cell.hardware.tapper import FireOutcome, FireResult, TapperCounters, TapperDriver
 from tapping_cell.hardware.tapper_boards import (
     CHANNELS_PER_BOARD,
+    OTHERS_ASKED_S,
     TapperBoards,
     cell_channel,
     numbered,
@@ -119,6 +121,38 @@ def test_a_board_is_charged_and_fired_only_while_all_others_are_at_rest(
     assert not any(
         {"charge", "fire"} & set(one.calls) for one in boards if one is not boards[board]
     )
+
+
+class SlowBoard(Board):
+    """A board whose driver is delayed by ``delay`` s before the last check."""
+
+    def __init__(self, delay: float) -> None:
+        super().__init__(reply())
+        self.time, self.delay = 0.0, delay
+
+    def now(self) -> float:
+        return self.time
+
+    def fire(self, shot: int, *arguments: object) -> FireResult:
+        _, still_allowed = cast(tuple[float, Callable[[float], bool]], arguments)
+        self.time += self.delay
+        outcome = FireOutcome.FIRED if still_allowed(0.0) else FireOutcome.NOT_FIRED
+        return FireResult(outcome, shot)
+
+
+@pytest.mark.parametrize("late", [True, False])
+@pytest.mark.parametrize("allowed", [True, False])
+def test_replies_of_the_other_boards_that_are_too_old_are_named_as_the_cause(
+    late: bool, allowed: bool
+) -> None:
+    cell = device(SlowBoard(OTHERS_ASKED_S + (0.05 if late else -0.05)), Board(reply()))
+    result = cell.fire(100, 0.04, lambda _: allowed)
+    assert (result.outcome is FireOutcome.FIRED) == (allowed and not late)
+    if late:
+        assert result.fault is not None and result.fault.reason is FaultReason.TIMEOUT
+        assert "0.150 s old" in result.sentence and "limit 0.100 s" in result.sentence
+    else:
+        assert result.fault is None
 
 
 @given(st.lists(replies, min_size=1, max_size=4))

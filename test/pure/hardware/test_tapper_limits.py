@@ -1,0 +1,94 @@
+"""The calls of the tapper's driver end within their time limits, and not before a release is
+impossible."""
+
+from __future__ import annotations
+
+from typing import cast
+
+import pytest
+
+from tapping_cell.hardware.faults import FaultReason, HardwareFault
+from tapping_cell.hardware.tapper import FireOutcome, TapperDriver
+from tapping_cell.hardware.tapper_protocol import Command, Mode, Reply, Result, State
+from tapping_cell.hardware.transport import Transport
+from tapping_cell.simulation.fault_layer import FaultLayer
+from tapping_cell.simulation.tapper_emulator import TapperEmulator
+from tapping_cell.simulation.virtual_line import VirtualClock, VirtualTransport
+
+REQUEST_S = 0.02
+"""Duration of one request and its reply."""
+
+
+class DeafLine(VirtualTransport):
+    """A line that loses the stop command. A stop occurs just after FIRE was sent."""
+
+    driver: TapperDriver
+
+    def write(self, data: bytes, timeout: float = 1.0) -> None:
+        super().write(data, timeout)
+        if Command.FIRE.value.encode() in data:
+            self.driver.stop()
+
+    def stop(self, data: bytes) -> bool:
+        return super().stop(b"")
+
+
+def test_unknown_is_reported_only_when_a_release_is_impossible_even_during_a_stop() -> None:
+    clock = VirtualClock()
+    device = TapperEmulator(now=clock.now)
+    line = DeafLine(FaultLayer(device), clock, "tapper")
+    driver = line.driver = TapperDriver(line, draw_number=lambda below: 7)
+    driver.connect()
+    driver.charge(1, 0.001)
+    result = driver.fire(1, 0.1, lambda release_by: True)
+    assert driver.stopped and result.outcome is FireOutcome.UNKNOWN
+    assert clock.now >= driver.release_impossible_after
+
+
+class Time:
+    """A transport that is only a clock."""
+
+    name, is_open = "tapper", True
+
+    def __init__(self) -> None:
+        self.passed = 0.0
+
+    def now(self) -> float:
+        return self.passed
+
+
+class Flickering(TapperDriver):
+    """A board that confirms every homing, but refuses every charge because of a flickering
+    switch."""
+
+    def __init__(self) -> None:
+        self.time, self.commands = Time(), list[Command]()
+        super().__init__(cast(Transport, self.time))
+
+    def _request(self, command: Command, *arguments: int | Mode) -> Reply:
+        self.time.passed += REQUEST_S
+        self.commands.append(command)
+        result = Result.NOT_HOMED if command is Command.CHARGE else Result.OK
+        state = State.SAFE if command is Command.HOME else State.UNHOMED
+        return Reply(
+            1, 1, result, state, 0, 0.0, True, False, 0, None, 1, 0, Mode.RUN, False,
+            channels=8, at_mounts=255,
+        )  # fmt: skip
+
+
+def test_a_board_that_is_homed_again_and_again_is_refused_after_the_time_limit() -> None:
+    driver = Flickering()
+    with pytest.raises(HardwareFault) as met:
+        driver.charge(1, 0.01)
+    assert met.value.reason is FaultReason.STRIKER_AWAY
+    assert driver.time.passed < driver.settings.home_timeout + 4 * REQUEST_S
+    assert driver.commands.count(Command.HOME) > 1
+
+
+def test_a_tap_can_be_given_up_before_every_homing() -> None:
+    driver = Flickering()
+    answers = iter([True, True, False])
+    reply = driver.charge(1, 0.01, lambda: next(answers))
+    assert reply.state is not State.CHARGED
+    assert driver.commands.count(Command.HOME) == 2
+    assert driver.commands[-1] is Command.DISCHARGE
