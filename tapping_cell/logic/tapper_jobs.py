@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from tapping_cell.hardware.faults import HardwareFault
+from tapping_cell.hardware.faults import FaultReason, HardwareFault
 from tapping_cell.hardware.tapper import FireOutcome, FireResult
 from tapping_cell.hardware.tapper_device import MountedTappers, TapperDevice
 from tapping_cell.hardware.tapper_protocol import Reply, State
@@ -65,8 +65,18 @@ def read(context: JobContext) -> Status:
 
 
 def clear(context: JobContext) -> Status:
-    """Clear a stop or a fault; after a stop, the board requires a person at the cell."""
+    """Clear a stop or a fault; after a stop, the board requires a person at the cell.
+
+    Raises HardwareFault STOPPED if a new stop occurred while this job was queued; the stop then
+    remains latched in the driver.
+    """
     driver: TapperDevice = context.driver
+    if context.abandoned():
+        raise HardwareFault(
+            FaultReason.STOPPED,
+            "a new stop occurred before the last one was cleared; make the cell safe, then clear"
+            " the stop again",
+        )
     return _make_status(driver, driver.clear())
 
 

@@ -2,8 +2,15 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import cast
+
+import pytest
+
+from tapping_cell.hardware.faults import FaultReason, HardwareFault
+from tapping_cell.logic import tapper_jobs
 from tapping_cell.logic.clock import Now
-from tapping_cell.logic.effects import StopLevels
+from tapping_cell.logic.effects import JobContext, StopLevels
 from tapping_cell.logic.stops import CONFIRM_WITHIN_S, StopLatch
 
 QUIET = StopLevels(asserted=False, publishers=(), gone=())
@@ -54,3 +61,14 @@ def test_no_confirmation_ends_a_stop_that_is_still_held() -> None:
     assert latch.stopped
     latch.receive(False)
     assert reset(latch, QUIET, 13.0) == ""
+
+
+def test_a_clear_that_was_overtaken_by_a_new_stop_leaves_the_stop_latched() -> None:
+    """The job was queued behind a slow one, and the new stop has abandoned it meanwhile."""
+    cleared: list[bool] = []
+    driver = SimpleNamespace(clear=lambda: cleared.append(True))
+    context = cast(JobContext, SimpleNamespace(driver=driver, abandoned=lambda: True))
+    with pytest.raises(HardwareFault) as met:
+        tapper_jobs.clear(context)
+    assert met.value.reason is FaultReason.STOPPED
+    assert not cleared
