@@ -153,20 +153,26 @@ class TapperPeers:
 
     def on_object_state(self, message: ObjectState, now: Now) -> None:
         """Process ``object_state``."""
-        if message.error_code in BLIND:
-            return
-        self._clocks["camera"].receive(message.header.stamp, now)
-        self._picture_at = self._clocks["camera"].to_steady(message.header.stamp, now)
-        if message.visible and message.error_code == ErrorCode.NONE:
-            self._seen[""] = self._seen[message.object_id] = message, self._picture_at
+        if message.error_code not in BLIND:
+            seen_at = self._see(message, {"", message.object_id}, now)
+            self._picture_at = max(seen_at, self._picture_at or -math.inf)
 
     def on_object_states(self, message: ObjectStates, now: Now) -> None:
         """Process ``object_states``; the age of each state is determined from its own stamp."""
         for state in message.objects:
-            seen_at = self._clocks["camera"].to_steady(state.header.stamp, now)
-            last = self._seen.get(state.object_id, (state, -math.inf))[1]
-            if state.visible and state.error_code == ErrorCode.NONE and seen_at > last:
-                self._seen[state.object_id] = state, seen_at
+            if state.error_code not in BLIND:
+                self._see(state, {state.object_id}, now)
+
+    def _see(self, state: ObjectState, names: set[str], now: Now) -> float:
+        """Store an object's state under these names, unless a newer state is stored. Return the
+        time of its image, in s of the steady clock."""
+        self._clocks["camera"].receive(state.header.stamp, now)
+        seen_at = self._clocks["camera"].to_steady(state.header.stamp, now)
+        if state.visible and state.error_code == ErrorCode.NONE:
+            for name in names:
+                if name not in self._seen or seen_at >= self._seen[name][1]:
+                    self._seen[name] = state, seen_at
+        return seen_at
 
     def given_up(self) -> CodedError | None:
         """Return an error if the planner that commanded the tap no longer waits for it."""

@@ -14,8 +14,16 @@ from hypothesis import strategies as st
 from tapping_cell.logic.cell_monitor import NAMES, QUICKEST_IMAGE_S, CellMonitor
 from tapping_cell.logic.clock import NANOSECONDS, Now, to_stamp
 from tapping_cell.logic.peer_clock import SKEW_LIMIT_S
+from tapping_cell.logic.poses import to_message
 from tapping_cell.logic.tapper_peers import PeerLimits, TapperPeers
-from tapping_cell.messages import ArmState, ErrorCode, ObjectState, PlanState, TapperState
+from tapping_cell.messages import (
+    ArmState,
+    ErrorCode,
+    ObjectState,
+    ObjectStates,
+    PlanState,
+    TapperState,
+)
 from tapping_cell.se2 import Pose
 
 EPOCH = 1_795_000_000.0
@@ -191,3 +199,53 @@ def test_a_tapper_names_the_computer_whose_clock_is_off(who: str, ahead: float) 
     assert reason is not None and reason[0] == ErrorCode.CLOCKS_DIFFER
     assert who in reason[1]
     assert shown_skew(reason[1]) == pytest.approx(-ahead, abs=0.011)
+
+
+def watching(object_id: str) -> TapperPeers:
+    """Return the peers of a tap whose arm is in position and whose camera sends images."""
+    peers = TapperPeers(PeerLimits())
+    peers.begin_tap(object_id)
+    arm = ArmState(state=ArmState.IN_POSITION, tap_id=7)
+    stamp_of(arm, 1.0, 0.0)
+    peers.on_arm_state(arm, at(1.0))
+    peers.on_object_state(seen(1.0, 0.0), at(1.0))
+    return peers
+
+
+def see(peers: TapperPeers, taken: float, x: float, received: float, among: bool) -> None:
+    """Pass the state of the object ``disk`` to the tapper, ``among`` the states of all objects or
+    alone."""
+    state = seen(taken, 0.0)
+    state.object_id, state.pose.pose = "disk", to_message(Pose(x, 0.0, 0.0))
+    if among:
+        peers.on_object_states(ObjectStates(objects=[state]), at(received))
+    else:
+        peers.on_object_state(state, at(received))
+
+
+@pytest.mark.parametrize("among", [True, False])
+@pytest.mark.parametrize("taken", [1.05, 1.1])
+def test_a_late_message_does_not_hide_that_the_object_was_moved(taken: float, among: bool) -> None:
+    """A message of an image at ``taken`` arrives after one of a later image, or is repeated."""
+    peers, here = watching("disk"), Pose(0.0, 0.0, 0.0)
+    see(peers, 1.05, 0.0, 1.05, among)
+    assert peers.check_firing(7, here, here, at(1.06)) is None
+    see(peers, 1.1, 0.01, 1.1, among)
+    see(peers, taken, 0.01 if taken == 1.1 else 0.0, 1.12, among)
+    reason = peers.check_firing(7, here, here, at(1.12))
+    assert reason is not None and reason[0] == ErrorCode.OBJECT_MOVED
+
+
+@pytest.mark.parametrize("among", [True, False])
+def test_a_message_from_the_future_blocks_later_messages_only_briefly(among: bool) -> None:
+    peers, here = watching("disk"), Pose(0.0, 0.0, 0.0)
+    see(peers, 100.0, 0.01, 1.05, among)
+    received = 1.05
+    while received < 13.0:
+        received += 0.05
+        peers.on_object_state(seen(received, 0.0), at(received))
+        see(peers, received, 0.0, received, among)
+    arm = ArmState(state=ArmState.IN_POSITION, tap_id=7)
+    stamp_of(arm, received, 0.0)
+    peers.on_arm_state(arm, at(received))
+    assert peers.check_firing(7, here, here, at(received)) is None
