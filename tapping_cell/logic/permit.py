@@ -32,6 +32,13 @@ def hold(time_of_flight: float) -> float:
     return BEFORE_FLIGHT_S + time_of_flight
 
 
+def shortfall(time_of_flight: float, granted: float) -> float:
+    """Return by how much a granted duration is shorter than :func:`hold`, s. A duration that is not
+    a number counts as 0."""
+    asked = hold(time_of_flight)
+    return asked - min(asked, granted) if granted > 0 else asked
+
+
 def random_key() -> int:
     """Return an unpredictable number above 0."""
     return 1 + secrets.randbelow(2**63)

@@ -340,7 +340,7 @@ class TapperLogic(DeviceLogic[State, Event]):
         self._given_up = self._permit = None
         self._attempts = 0
         self._key = 0 if self._fixed else self._draw_key()
-        self._peers.begin_tap(command.object_id)
+        self._peers.begin_tap(command.object_id, command.strike_pose.position.z)
         self._error = (ErrorCode.NONE, "")
         self._set_tap(command.tap_id, TapperState.NONE)
         self._reported.key_digest = permit.key_digest(self._key) if self._key else 0
@@ -520,6 +520,8 @@ class TapperLogic(DeviceLogic[State, Event]):
         # Count the hold time from the moment at which hold_still was requested. The arm counts it
         # from the later moment at which it handles the request, so the arm stands still for longer.
         until = self._asked_at + permit.hold(tap.flight)
+        if response is not None and response.granted:
+            until -= permit.shortfall(tap.flight, response.duration)
         late = response is None or now.steady > until - permit.RELEASE_S - tap.flight
         if response is not None and not response.granted:
             self._discharge((response.error_code, response.error_msg))
@@ -535,8 +537,8 @@ class TapperLogic(DeviceLogic[State, Event]):
             self._discharge(
                 (
                     ErrorCode.ARM_SILENT,
-                    f"the arm did not answer hold_still in time in {HOLD_ATTEMPTS} attempts; check"
-                    " scara_arm and the network",
+                    "the arm did not answer hold_still in time, or granted too short a time, in"
+                    f" {HOLD_ATTEMPTS} attempts; check scara_arm and the network",
                 )
             )
 

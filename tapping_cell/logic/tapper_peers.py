@@ -34,7 +34,10 @@ BLIND = frozenset(
 """Error codes that mean that there was no usable image; messages with these codes do not count as a
 camera heartbeat."""
 ABOVE_M, ABOVE_RAD = 0.005, 0.05
-"""Maximum horizontal distance and angle from the tip to its strike pose when charging begins."""
+"""Maximum horizontal distance and angle from the tip to its strike pose when charging begins and at
+the shot."""
+HEIGHT_M = 0.002
+"""Maximum difference in height between the tip and its strike pose at the shot."""
 IDLE_LIMIT_S = 1.5
 """Message timeout, s, of a planner that did not command the tap. Such a planner publishes only
 twice a second."""
@@ -120,6 +123,7 @@ class TapperPeers:
         self._planners_tap = False
         self._picture_at: float | None = None
         self._object = ""
+        self._height = 0.0
         self._seen: dict[str, tuple[ObjectState, float]] = {}
         self._mounts: Mounts | None = None
 
@@ -127,14 +131,15 @@ class TapperPeers:
         """From now on, check the state of the mounts instead of the arm."""
         self._mounts = mounts
 
-    def begin_tap(self, object_id: str) -> None:
+    def begin_tap(self, object_id: str, height: float) -> None:
         """Begin the checks of a tap of the object with this name (empty: the cell's own object).
 
-        Later messages of the planner show whether the planner commanded this tap.
+        ``height``: commanded height of the tip for the strike, m. Later messages of the planner
+        show whether the planner commanded this tap.
         """
         self._planners_tap = False
         self._arm_keys = set() if self._arm is None else {self._arm.arm_key}
-        self._object = object_id
+        self._object, self._height = object_id, height
 
     def on_arm_state(self, message: ArmState, now: Now) -> None:
         """Process ``arm_state``."""
@@ -254,6 +259,15 @@ class TapperPeers:
                 code,
                 f"the arm is in position for another tap with the same id {tap_id}; make sure "
                 "that only one planner runs",
+            )
+        height = arm.tip_pose.position.z
+        if not abs(height - self._height) <= HEIGHT_M:
+            return (
+                code,
+                f"the arm is in position for tap {tap_id}, but its tip is {1e3 * height:.1f} mm"
+                f" above the table instead of {1e3 * self._height:.1f} mm (limit of the difference"
+                f" {1e3 * HEIGHT_M:.1f} mm); make sure that planner and scara_arm use the same"
+                " arm.strike_height, and that strike_pose of tap_command contains this height",
             )
         return None
 

@@ -40,7 +40,7 @@ from tapping_cell.simulation.truth import ArmTruth
 
 # These tests publish 100 messages per second, which would delay tests that run in parallel.
 pytestmark = pytest.mark.alone
-STRIKE = Pose(-0.08, 0.02, 0.3)
+STRIKE, HEIGHT = Pose(-0.08, 0.02, 0.3), load_cell().strike_height
 RATE_HZ = 100.0
 TRIES = 10
 SLOW = TapperMachine(SpringMechanism(step_rate=400.0))
@@ -95,7 +95,7 @@ class Cell:
         self.tap_id += 1
         command = TapCommand(request=TapCommand.TAP, tap_id=self.tap_id, striker_speed=0.3)
         command.header.frame_id = "table"
-        command.strike_pose = to_message(STRIKE)
+        command.strike_pose = to_message(STRIKE, HEIGHT)
         command.expiry = (self.node.get_clock().now() + Duration(seconds=20)).to_msg()
         self.last = command
         self.commands.publish(command)
@@ -209,7 +209,7 @@ def test_a_hundred_foreign_messages_per_second_fire_and_move_nothing(cell: Cell)
         return TapperState(state=TapperState.SAFE, tap_id=cell.tap_id, outcome=outcome)
 
     def in_position() -> ArmState:
-        pose = to_message(STRIKE)
+        pose = to_message(STRIKE, HEIGHT)
         return ArmState(state=ArmState.IN_POSITION, tap_id=cell.tap_id, homed=True, tip_pose=pose)
 
     attacks: list[tuple[type, str, Callable[[], Any], Any]] = [

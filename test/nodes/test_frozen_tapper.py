@@ -33,7 +33,7 @@ from tapping_cell.simulation.truth import ArmTruth
 FREEZES, SEED = map(int, os.environ.get("TAPPING_CELL_FREEZES", "12:5").split(":"))
 ARM_FREEZES = FREEZES if "TAPPING_CELL_FREEZES" in os.environ else 3
 SPEED_M_S = 0.3
-STRIKE = Pose(-0.08, 0.02, 0.3)
+STRIKE, HEIGHT = Pose(-0.08, 0.02, 0.3), load_cell().strike_height
 STROKE_M = load_cell().file.tapper.stroke
 SERVED = (TapperState.FIRED, TapperState.NOT_FIRED, TapperState.UNKNOWN)
 
@@ -145,7 +145,7 @@ def test_a_frozen_arm_does_not_move_before_the_striker_has_landed(tmp_path: Path
         def command(request: int, tap_id: int) -> None:
             tap = TapCommand(request=request, tap_id=tap_id, striker_speed=SPEED_M_S)
             tap.header.frame_id = "table"
-            tap.strike_pose = to_message(STRIKE)
+            tap.strike_pose = to_message(STRIKE, HEIGHT)
             tap.expiry = (node.get_clock().now() + Duration(seconds=20)).to_msg()
             commands.publish(tap)
 

@@ -446,7 +446,7 @@ def test_the_last_check_uses_the_tapped_object() -> None:
     peers.on_object_state(own, now)
 
     def reason(name: str, planned: Pose) -> int:
-        peers.begin_tap(name)
+        peers.begin_tap(name, 0.0)
         found = peers._disturbance(planned, now)
         return found[0] if found is not None else ErrorCode.NONE
 
@@ -467,6 +467,6 @@ def test_the_last_check_uses_the_tapped_object() -> None:
     assert reason("other", there) == ErrorCode.NONE
     later = Now(10.0 + PeerLimits().unseen + 0.1, 10_600_000_000)
     peers.on_object_state(own, later)
-    peers.begin_tap("other")
+    peers.begin_tap("other", 0.0)
     assert peers._disturbance(there, later)[0] == ErrorCode.OBJECT_NOT_SEEN  # type: ignore[index]
     assert math.isfinite(later.steady)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
-from test_permit import CELL, START, STRIKE, TAP, Pair, at, board, jobs
+from test_permit import CELL, HEIGHT, START, STRIKE, TAP, Pair, at, board, jobs
 
 from tapping_cell.configuration.cell import Cell
 from tapping_cell.hardware.tapper_protocol import State as BoardState
@@ -27,15 +29,23 @@ def waiting(cell: Cell = CELL) -> tappers.TapperLogic:
     return tapper
 
 
-def arm(state: int, tip: Pose, steady: float, tap_id: int = TAP, homed: bool = True) -> ArmState:
-    message = ArmState(state=state, tap_id=tap_id, homed=homed, tip_pose=to_message(tip, 0.06))
+def arm(
+    state: int,
+    tip: Pose,
+    steady: float,
+    tap_id: int = TAP,
+    homed: bool = True,
+    height: float = HEIGHT,
+) -> ArmState:
+    message = ArmState(state=state, tap_id=tap_id, homed=homed, tip_pose=to_message(tip, height))
     message.header.stamp = to_stamp(at(steady).ros)
     return message
 
 
 def charged_while_lowered() -> tuple[tappers.TapperLogic, list[Effect]]:
     tapper = waiting()
-    made = tapper.on_message("arm_state", arm(ArmState.MOVING, STRIKE, START), at(START))
+    lowers = arm(ArmState.MOVING, STRIKE, START, height=HEIGHT + 0.05)
+    made = tapper.on_message("arm_state", lowers, at(START))
     (charge,) = jobs(made)
     end = ChargeEnd(Status(board(BoardState.CHARGED, TAP), 0), True, None)
     return tapper, list(tapper.on_job(JobEnded(charge, end), at(START + 0.3)))
@@ -78,6 +88,15 @@ def test_no_shot_is_fired_if_the_arm_is_in_position_for_another_tap_with_the_sam
 ) -> None:
     tapper, _ = charged_while_lowered()
     stands = arm(ArmState.IN_POSITION, STRIKE @ off, START + 0.5)
+    made = tapper.on_message("arm_state", stands, at(START + 0.5))
+    assert not [effect for effect in made if isinstance(effect, Call)]
+    assert tapper.state is tappers.State.DISCHARGING
+
+
+@pytest.mark.parametrize("off", [0.054, 0.0025, -0.0025, math.nan])
+def test_no_shot_is_fired_if_the_tip_is_not_at_its_commanded_height(off: float) -> None:
+    tapper, _ = charged_while_lowered()
+    stands = arm(ArmState.IN_POSITION, STRIKE, START + 0.5, height=HEIGHT + off)
     made = tapper.on_message("arm_state", stands, at(START + 0.5))
     assert not [effect for effect in made if isinstance(effect, Call)]
     assert tapper.state is tappers.State.DISCHARGING

@@ -150,7 +150,7 @@ def test_a_tapper_fires_whichever_clock_is_ahead(
     arm_ahead: float, camera_ahead: float, delays: list[float]
 ) -> None:
     peers = TapperPeers(PeerLimits())
-    peers.begin_tap("")
+    peers.begin_tap("", 0.0)
     received = 0.0
     for number, delay in enumerate(delays):
         taken = number / 20
@@ -170,7 +170,7 @@ def test_a_tapper_that_needs_a_camera_waits_for_its_first_image(needed: bool) ->
     """A tapper that is restarted while the camera is missing must not fire at an object that it has
     never seen."""
     peers, here = TapperPeers(PeerLimits(needs_camera=needed)), Pose(0.0, 0.0, 0.0)
-    peers.begin_tap("")
+    peers.begin_tap("", 0.0)
     arm = ArmState(state=ArmState.IN_POSITION, tap_id=7)
     stamp_of(arm, 1.0, 0.0)
     peers.on_arm_state(arm, at(1.0))
@@ -188,7 +188,7 @@ def test_a_tapper_that_needs_a_camera_waits_for_its_first_image(needed: bool) ->
 @given(st.sampled_from(["arm", "camera"]), st.floats(0.65, 3600.0))
 def test_a_tapper_names_the_computer_whose_clock_is_off(who: str, ahead: float) -> None:
     peers = TapperPeers(PeerLimits())
-    peers.begin_tap("")
+    peers.begin_tap("", 0.0)
     for number in range(30):
         taken = number / 20
         arm = ArmState(state=ArmState.IN_POSITION, tap_id=7)
@@ -204,7 +204,7 @@ def test_a_tapper_names_the_computer_whose_clock_is_off(who: str, ahead: float) 
 def watching(object_id: str) -> TapperPeers:
     """Return the peers of a tap whose arm is in position and whose camera sends images."""
     peers = TapperPeers(PeerLimits())
-    peers.begin_tap(object_id)
+    peers.begin_tap(object_id, 0.0)
     arm = ArmState(state=ArmState.IN_POSITION, tap_id=7)
     stamp_of(arm, 1.0, 0.0)
     peers.on_arm_state(arm, at(1.0))

@@ -33,8 +33,9 @@ from tapping_cell.se2 import Pose
 CELL = load_cell()
 TAP = 100
 _TIP = CELL.arm.geometry().forward(CELL.file.arm.park)
-STRIKE = CELL.arm_base @ Pose(_TIP.x, _TIP.y, _TIP.yaw)
-"""The strike pose of all taps here; the arm reaches it with the joints of its park pose."""
+STRIKE, HEIGHT = CELL.arm_base @ Pose(_TIP.x, _TIP.y, _TIP.yaw), _TIP.z
+"""The strike pose of all taps here and its height; the arm reaches it with the joints of its park
+pose."""
 START = 1000.0
 STROKE = CELL.file.tapper.stroke
 SPEED = 0.3
@@ -78,7 +79,7 @@ class Pair:
     def command(self, request: int, now: Now) -> TapCommand:
         message = TapCommand(request=request, tap_id=TAP, striker_speed=self.speed)
         message.header.frame_id = "table"
-        message.strike_pose = to_message(STRIKE)
+        message.strike_pose = to_message(STRIKE, HEIGHT)
         message.expiry = to_stamp(now.ros + 20 * 10**9)
         return message
 
@@ -193,6 +194,35 @@ def test_a_prompt_answer_permits_the_shot() -> None:
     release_by = START + 0.008 + (WINDOW_S + LONGEST_PULSE) * 1.01
     assert pair.tapper.check_firing(release_by, at(START + 0.008)) is None
     assert pair.tapper.check_firing(release_by + 0.2, at(START + 0.008)) is not None
+
+
+@pytest.mark.parametrize("share", [0.5, 1.0, 2.0, -1.0, float("nan"), float("inf")])
+def test_a_shot_must_end_within_the_time_that_the_arm_has_granted(share: float) -> None:
+    """The arm grants ``share`` times the requested time, but half of it is too short."""
+    pair = Pair()
+    call = pair.begin()
+    asked = call.request.duration
+    made = pair.arm.on_request("hold_still", call.request, 1, at(START))
+    (answer,) = [effect for effect in made if isinstance(effect, Answer)]
+    answer.response.duration = share * asked
+    made = pair.tapper.on_answer(call.token, answer.response, at(START + 0.001))
+    assert bool(jobs(made)) == (share >= 1.0)
+    if share >= 1.0:
+        last = START + asked - permit.flight(STROKE, SPEED)
+        assert pair.tapper.check_firing(last - 1e-6, at(START + 0.002)) is None
+        assert pair.tapper.check_firing(last + 1e-6, at(START + 0.002)) is not None
+
+
+def test_a_slightly_shorter_grant_ends_the_permit_earlier() -> None:
+    pair = Pair()
+    call = pair.begin()
+    made = pair.arm.on_request("hold_still", call.request, 1, at(START))
+    (answer,) = [effect for effect in made if isinstance(effect, Answer)]
+    answer.response.duration -= 0.02
+    assert jobs(pair.tapper.on_answer(call.token, answer.response, at(START + 0.001)))
+    last = START + answer.response.duration - permit.flight(STROKE, SPEED)
+    assert pair.tapper.check_firing(last - 1e-6, at(START + 0.002)) is None
+    assert pair.tapper.check_firing(last + 1e-6, at(START + 0.002)) is not None
 
 
 @pytest.mark.parametrize("state", [ArmState.MOVING, ArmState.FAULT, ArmState.WITHDRAWING])
