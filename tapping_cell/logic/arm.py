@@ -409,6 +409,7 @@ class ArmLogic(DeviceLogic[State, Event]):
     def _begin_homing(self, now: Now) -> None:
         self._machine.move(Event.HOME, S.HOMING)
         self._error = (ErrorCode.NONE, "")
+        self._clear_of_camera = False
         strategy = HomingStrategy(self._cell.arm.homing)
         self._run(
             "home",
@@ -659,6 +660,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         self._promise_end = max(self._promise_end, now.steady + permit.LONGEST_HOLD_S)
 
     def _closed(self) -> None:
+        self._halting = False
         self._tap_id = 0
         self._reading_kept = None
         if self.state is not S.STOPPED:
@@ -709,8 +711,8 @@ class ArmLogic(DeviceLogic[State, Event]):
         return self._reading_kept is not None and self._reading_kept.homed
 
     def _activated(self, now: Now) -> None:
-        self._halting = False
-        if self.state not in (S.NOT_HOMED, S.IDLE, S.INACTIVE):
+        # If a job abandoned at the deactivation still runs, its end activates the arm (``_halt``).
+        if self._halting or self.state not in (S.NOT_HOMED, S.IDLE, S.INACTIVE):
             return
         self._stand(Event.ACTIVATED)
         alone = self._options.home_on_activate and not self._options.set_up

@@ -17,7 +17,7 @@ from tapping_cell.hardware.faults import FaultReason, HardwareFault
 from tapping_cell.hardware.scara import Joints
 from tapping_cell.logic import arm as arms
 from tapping_cell.logic import arm_jobs, permit
-from tapping_cell.logic.arm_jobs import Reading
+from tapping_cell.logic.arm_jobs import MotionEnd, Reading
 from tapping_cell.logic.effects import Effect, JobEnded, RunJob
 from tapping_cell.logic.host import Activated, Configured, Deactivated
 from tapping_cell.messages import (
@@ -25,12 +25,15 @@ from tapping_cell.messages import (
     Bool,
     ErrorCode,
     HoldStill,
+    JointTrajectory,
+    JointTrajectoryPoint,
     TapCommand,
     TapperState,
     Trigger,
 )
 
 START = 1000.0
+PARK = Joints(*CELL.file.arm.park)
 
 
 def in_position() -> Pair:
@@ -222,6 +225,44 @@ def test_an_arm_that_was_deactivated_homes_only_when_the_striker_is_discharged(
     (job,) = (e.job for e in made if isinstance(e, RunJob))
     assert isinstance(job.run, partial)
     assert job.run.keywords["not_before"] == START + 1.0 + arms.DISCHARGED_S
+
+
+@pytest.mark.parametrize("name", ["withdraw", "home", "follow", "place"])
+def test_an_arm_whose_motion_was_abandoned_does_not_report_that_it_is_out_of_view(
+    name: str,
+) -> None:
+    """The arm is activated again before the abandoned job has ended."""
+    arm, number = moving(name)
+    arm.on_lifecycle(Deactivated(), at(START + 1.0))
+    arm.on_lifecycle(Activated(), at(START + 1.1))
+    assert messages(arm.on_tick(at(START + 1.2)), "arm_state")[-1].state != ArmState.IDLE
+    halfway = MotionEnd(False, Reading(True, PARK, False, START + 1.3))
+    (state,) = messages(arm.on_job(JobEnded(number, halfway), at(START + 1.3)), "arm_state")
+    assert (state.state, state.tap_id) == (ArmState.IDLE, 0)
+    assert not state.clear_of_camera
+
+
+def moving(name: str) -> tuple[arms.ArmLogic, int]:
+    """Return an arm that runs the job ``name``, and the number of this job. Before the job, the arm
+    is out of the camera's view unless the job itself ends a tap."""
+    pair = in_position()
+    arm, now = pair.arm, at(START + 0.5)
+    made = arm.on_message("tap_command", pair.command(TapCommand.WITHDRAW, now), now)
+    if name != "withdraw":
+        arm.on_job(JobEnded(*jobs(made), MotionEnd(True, Reading(True, PARK, False, START))), now)
+        assert arm.state is arms.State.IDLE
+    if name == "home":
+        made = arm.on_request("~/home", Trigger.Request(), 1, now)
+    elif name == "follow":
+        trajectory = JointTrajectory(joint_names=list(Joints._fields))
+        trajectory.points = [JointTrajectoryPoint(positions=list(PARK))]
+        made = arm.on_message("joint_trajectory", trajectory, now)
+    elif name == "place":
+        tap = replace(pair.command(TapCommand.TAP, now), tap_id=TAP + 1)
+        made = arm.on_message("tap_command", tap, now)
+    (job,) = (e.job for e in made if isinstance(e, RunJob))
+    assert job.name == name
+    return arm, job.number
 
 
 def test_a_striker_charged_while_the_withdrawal_reads_the_joints_delays_the_motion() -> None:
