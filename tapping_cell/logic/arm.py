@@ -597,7 +597,10 @@ class ArmLogic(DeviceLogic[State, Event]):
         if fault.reason is FaultReason.UNREACHABLE and self.state is S.PLACING:
             # No motion command was sent, so the arm has not moved and there is no fault to clear.
             self._set_error(of_arm(fault), fault.sentence)
-            self._give_up(now)
+            if self._halting:
+                self._halt(now)
+            else:
+                self._give_up(now)
             return
         if fault.reason in LINE_LOST:
             target = S.DISCONNECTED

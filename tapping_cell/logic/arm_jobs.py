@@ -75,6 +75,8 @@ def home(
     """Home the arm, then park it."""
     driver: ArmDriver = context.driver
     _wait(context, not_before)
+    if context.abandoned():
+        return MotionEnd(False, reading_of(driver))
     driver.home(strategy)
     return _park(context, driver.read_joints(), motion)
 

@@ -265,6 +265,15 @@ def moving(name: str) -> tuple[arms.ArmLogic, int]:
     return arm, job.number
 
 
+def test_an_arm_deactivated_before_an_unreachable_strike_pose_is_found_does_not_withdraw() -> None:
+    arm, number = moving("place")
+    arm.on_lifecycle(Deactivated(), at(START + 1.0))
+    fault = HardwareFault(FaultReason.UNREACHABLE, "joint elbow would need 170 deg")
+    assert not withdraws(arm.on_job(JobEnded(number, fault=fault), at(START + 1.1)))
+    assert arm.state is arms.State.INACTIVE
+    assert not withdraws(arm.on_tick(at(START + 1.2)))
+
+
 def test_a_striker_charged_while_the_withdrawal_reads_the_joints_delays_the_motion() -> None:
     pair = in_position()
     command = pair.command(TapCommand.WITHDRAW, at(START + 1.0))

@@ -5,6 +5,7 @@ request."""
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -271,6 +272,36 @@ def test_an_inactive_arm_does_not_move(cell: Cell) -> None:
     cell.clear_view(5)
     assert not cell.call("~/home").success
     assert not cell.moves(0.5)
+
+
+MOTIONS: dict[str, Callable[[Cell], object]] = {
+    "home": lambda cell: cell.ask("~/home"),
+    "trajectory": lambda cell: cell.publish(
+        "joint_trajectory", a_trajectory(np.array([0.3, 1.0, -0.01, 0.5]), 2.0)
+    ),
+    "tap": lambda cell: cell.command(101),
+    "clear view": lambda cell: cell.clear_view(101),
+}
+
+
+@pytest.mark.parametrize("motion", MOTIONS)
+def test_a_motion_that_waits_for_the_striker_does_not_begin_after_the_deactivation(
+    cell: Cell, motion: str
+) -> None:
+    cell.command(100)
+    cell.wait_state(ArmState.IN_POSITION)
+    cell.withdraw(100)
+    cell.wait_state(ArmState.IDLE)
+    cell.publish("tapper_state", TapperState(tap_id=100, state=TapperState.CHARGED))
+    cell.run(0.1)
+    MOTIONS[motion](cell)
+    cell.run(0.1)
+    assert cell.last.state != ArmState.IDLE and not cell.moving()
+    cell.process.lifecycle(Deactivated())
+    assert not cell.moves(2.0)
+    assert cell.last.error_code == ErrorCode.NOT_ACTIVE
+    cell.process.lifecycle(Activated())
+    cell.wait_state(ArmState.IDLE)
 
 
 def hold(cell: Cell, tap_id: int, duration: float = 0.25) -> Any:
