@@ -66,8 +66,8 @@ DISCHARGED_S = 0.7
 """Maximum time from the last report of a charged striker until the board has discharged it
 automatically: the board waits for 0.5 s without a request, then its drive returns."""
 LONGEST_WAIT_S = 3.0
-"""Maximum time for which the arm waits after the end of a tap until the striker is discharged,
-s."""
+"""Maximum time for which the arm waits until the striker is discharged, s: once after the end of a
+tap, and again in each job that moves the arm."""
 CHARGED = (TapperState.CHARGING, TapperState.CHARGED, TapperState.FIRING)
 SET_UP_SPEED = 0.25
 """Fraction of the ordinary speed in set-up mode."""
@@ -342,11 +342,13 @@ class ArmLogic(DeviceLogic[State, Event]):
     def _run_plan(self, plan: Callable[[Joints], Sequence[Waypoint]], now: Now) -> None:
         """Start a move along the path that ``plan`` computes from the joint values of the arm at
         rest."""
+        self._run_when_free("withdraw", partial(arm_jobs.withdraw, plan=plan), now)
+
+    def _run_when_free(self, name: str, motion: Callable[..., MotionEnd], now: Now) -> None:
+        """Start a job that moves the arm as soon as the arm need not stand still any longer and the
+        striker is no longer charged."""
         not_before = self._free_at(now)
-        withdraw = partial(
-            arm_jobs.withdraw, plan=plan, not_before=not_before, free_at=self._free_at
-        )
-        self._run("withdraw", withdraw)
+        self._run(name, partial(motion, not_before=not_before, free_at=self._free_at))
 
     def _refusal(self, command: TapCommand, now: Now) -> CodedError | None:
         """Return why a tap command is refused, or None if it is accepted."""
@@ -389,10 +391,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         self._error = (ErrorCode.NONE, "")
         self._clear_of_camera = False
         scale = SET_UP_SPEED if self._options.set_up else 1.0
-        self._run(
-            "follow",
-            partial(arm_jobs.follow, targets=targets, scale=scale, not_before=self._free_at(now)),
-        )
+        self._run_when_free("follow", partial(arm_jobs.follow, targets=targets, scale=scale), now)
 
     def _home(self, token: Token, now: Now) -> None:
         if not self._active:
@@ -411,15 +410,8 @@ class ArmLogic(DeviceLogic[State, Event]):
         self._error = (ErrorCode.NONE, "")
         self._clear_of_camera = False
         strategy = HomingStrategy(self._cell.arm.homing)
-        self._run(
-            "home",
-            partial(
-                arm_jobs.home,
-                strategy=strategy,
-                motion=self._motion(),
-                not_before=self._free_at(now),
-            ),
-        )
+        home = partial(arm_jobs.home, strategy=strategy, motion=self._motion())
+        self._run_when_free("home", home, now)
 
     # Set-up mode
 
@@ -537,9 +529,9 @@ class ArmLogic(DeviceLogic[State, Event]):
         self._leave_when_free(now)
 
     def _free_at(self, now: Now) -> float:
-        """Return the earliest time, in s of the steady clock, at which a motion may begin. From
-        this time on, the arm does not have to stand still and the striker is no longer charged. The
-        wait for the striker is limited to ``LONGEST_WAIT_S``."""
+        """Return the earliest time, in s of the steady clock, at which a motion may begin that has
+        waited since ``now``. From this time on, the arm does not have to stand still and the
+        striker is no longer charged. The wait for the striker is limited to ``LONGEST_WAIT_S``."""
         return max(self._promise_end, min(self._charged_until, now.steady + LONGEST_WAIT_S))
 
     def _leave_when_free(self, now: Now) -> None:

@@ -70,11 +70,15 @@ def clear(context: JobContext) -> Reading:
 
 
 def home(
-    context: JobContext, strategy: HomingStrategy, motion: MotionSettings, not_before: float
+    context: JobContext,
+    strategy: HomingStrategy,
+    motion: MotionSettings,
+    not_before: float,
+    free_at: Callable[[Now], float],
 ) -> MotionEnd:
-    """Home the arm, then park it."""
+    """Home the arm, then park it. ``not_before`` and ``free_at``: see :func:`withdraw`."""
     driver: ArmDriver = context.driver
-    _wait(context, not_before)
+    _wait_until_free(context, not_before, free_at, lambda: None)
     if context.abandoned():
         return MotionEnd(False, reading_of(driver))
     driver.home(strategy)
@@ -84,7 +88,12 @@ def home(
 def place(
     context: JobContext, tip: TipPose, motion: MotionSettings, expiry: int, not_before: float
 ) -> MotionEnd:
-    """Move the tip to a pose in ``arm_base`` and settle there. ``expiry``: ROS time in ns."""
+    """Move the tip to a pose in ``arm_base`` and settle there. ``expiry``: ROS time in ns.
+
+    ``not_before``: earliest start, in s of the steady clock. Reports that the striker is charged
+    for this tap do not delay the motion, because the tapper charges only above the strike pose, and
+    from there the arm only moves down.
+    """
     driver: ArmDriver = context.driver
     _wait(context, not_before)
     path = strike_path(driver.geometry, driver.read_joints(), tip, motion)
@@ -103,13 +112,12 @@ def withdraw(
     """Leave the strike pose along the path that ``plan`` returns for the present joints.
 
     ``not_before``: earliest start, in s of the steady clock. ``free_at``: query for the earliest
-    start after the joints were read; a report that the striker is charged may have arrived since
-    the job began.
+    start of a motion that has waited since the given time; reports that the striker is charged may
+    arrive during the wait.
     """
     driver: ArmDriver = context.driver
-    here = driver.read_joints()
-    path = plan(here)
-    _wait(context, max(not_before, context.ask(free_at)))
+    path = plan(driver.read_joints())
+    _wait_until_free(context, not_before, free_at, driver.read_joints)
     complete = _move_along(context, path)
     return MotionEnd(complete, _make_reading(driver, driver.read()))
 
@@ -119,11 +127,14 @@ def follow(
     targets: Sequence[tuple[Joints, float]],
     scale: float,
     not_before: float,
+    free_at: Callable[[Now], float],
 ) -> MotionEnd:
     """Follow a trajectory of joints with times in s from its start; the arm stops at every point.
-    ``scale``: factor on the speed."""
+
+    ``scale``: factor on the speed. ``not_before`` and ``free_at``: see :func:`withdraw`.
+    """
     driver: ArmDriver = context.driver
-    _wait(context, not_before)
+    _wait_until_free(context, not_before, free_at, driver.read_joints)
     here, before, complete = driver.read_joints(), 0.0, True
     for target, at in targets:
         fastest = move_duration(driver.geometry, here, target, 1.0)
@@ -141,6 +152,26 @@ def _wait(context: JobContext, until: float) -> None:
     left = until - context.now().steady
     if left > 0:
         context.sleep(left)
+
+
+def _wait_until_free(
+    context: JobContext,
+    not_before: float,
+    free_at: Callable[[Now], float],
+    read: Callable[[], object],
+) -> None:
+    """Wait without moving until ``not_before`` and until ``free_at`` permits a motion.
+
+    ``read`` refreshes the reading of the joints before each query, so that the driver need not read
+    them between the last query and the start of the motion.
+    """
+    began = context.now()
+    while True:
+        read()
+        until = max(not_before, context.ask(lambda _: free_at(began)))
+        if until <= context.now().steady:
+            return
+        _wait(context, until)
 
 
 def _park(context: JobContext, here: Joints, motion: MotionSettings) -> MotionEnd:
