@@ -757,7 +757,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         if self.state is S.CLEARING:
             return
         self._machine.move(Event.CLEAR, S.CLEARING)
-        self._run("clear", arm_jobs.clear)
+        self._run("clear", partial(arm_jobs.clear, is_stopped=lambda now: self.stopped))
 
     def _time_passed(self, now: Now) -> None:
         self._watch_enabling(now)

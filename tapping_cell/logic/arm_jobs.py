@@ -62,9 +62,15 @@ def read(context: JobContext) -> Reading:
     return reading_of(context.driver)
 
 
-def clear(context: JobContext) -> Reading:
-    """Clear a stop or a fault."""
+def clear(context: JobContext, is_stopped: Callable[[Now], bool]) -> Reading | None:
+    """Clear a stop or a fault; return None if another stop was received since the job was queued.
+
+    ``is_stopped``: query whether a stop is latched. Its answer waits until the host has carried out
+    all effects of a stop: the driver is stopped before the job is abandoned.
+    """
     driver: ArmDriver = context.driver
+    if context.ask(is_stopped):
+        return None
     driver.clear_fault()
     return reading_of(driver)
 

@@ -23,7 +23,7 @@ from tapping_cell.logic import arm as arms
 from tapping_cell.logic import permit
 from tapping_cell.logic.arm_jobs import MotionEnd, Reading
 from tapping_cell.logic.clock import Now
-from tapping_cell.logic.effects import Effect, Job, JobEnded, RunJob
+from tapping_cell.logic.effects import AskStops, Effect, Job, JobEnded, RunJob, StopLevels
 from tapping_cell.logic.host import Activated, Configured, Deactivated
 from tapping_cell.messages import (
     ArmState,
@@ -127,6 +127,25 @@ def test_a_stop_preempts_any_activity() -> None:
     arm.on_job(JobEnded(number, here), at(START + 1.2))
     assert arm.state is arms.State.STOPPED
     assert jobs(arm.on_tick(at(START + 2.0))) == []
+
+
+@pytest.mark.parametrize("stopped_again", [True, False])
+def test_a_stop_before_the_job_that_clears_the_last_stop_ends_this_job(stopped_again: bool) -> None:
+    """The job is queued behind another job, such as a slow connect."""
+    pair = in_position()
+    arm, now = pair.arm, at(START + 1.0)
+    arm.on_request("~/stop", Trigger.Request(), 1, now)
+    made = arm.on_request("~/clear_fault", Trigger.Request(), 2, now)
+    (asked,) = (effect.token for effect in made if isinstance(effect, AskStops))
+    made = arm.on_answer(asked, StopLevels(False, (), ()), now)
+    (job,) = (effect.job for effect in made if isinstance(effect, RunJob))
+    if stopped_again:
+        arm.on_request("~/stop", Trigger.Request(), 3, now)
+    cleared: list[bool] = []
+    context = Clockwork(pair, [])
+    context.driver.clear_fault = lambda: cleared.append(True)
+    job.run(context)
+    assert bool(cleared) is not stopped_again
 
 
 def withdraws(made: Sequence[Effect]) -> bool:
