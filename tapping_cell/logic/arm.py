@@ -555,6 +555,8 @@ class ArmLogic(DeviceLogic[State, Event]):
         self._take_in(content, now)
 
     def _job_done(self, name: str, result: Any, now: Now) -> None:
+        if name == "send stop":
+            return
         reading = result.reading if isinstance(result, MotionEnd) else result
         complete = not isinstance(result, MotionEnd) or result.complete
         self._take_in(reading, now)
@@ -739,6 +741,8 @@ class ArmLogic(DeviceLogic[State, Event]):
         self._reading_kept = None
         self._machine.move(Event.STOP, S.STOPPED)
         self._set_error(*self.stop_error)
+        if self._configured:
+            self._run("send stop", partial(arm_jobs.send_stop, patience=self.patience))
 
     def _fail(self, now: Now) -> None:
         if not self._stops.stopped:

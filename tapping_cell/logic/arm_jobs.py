@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 from tapping_cell.hardware.arm import ArmDriver
 from tapping_cell.hardware.arm_settings import ArmReading, HomingStrategy
+from tapping_cell.hardware.faults import HardwareFault
 from tapping_cell.hardware.motion import (
     MotionSettings,
     Waypoint,
@@ -17,6 +19,9 @@ from tapping_cell.hardware.motion import (
 from tapping_cell.hardware.scara import Joints, TipPose
 from tapping_cell.logic.clock import Now
 from tapping_cell.logic.effects import JobContext
+
+RETRY_S = 0.05
+"""Time between two attempts to send a stop, s."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,6 +65,16 @@ def connect(context: JobContext, patience: float) -> Reading:
 def read(context: JobContext) -> Reading:
     """Read back the arm's position."""
     return reading_of(context.driver)
+
+
+def send_stop(context: JobContext, patience: float) -> None:
+    """Send a stop that found the port closed, as soon as the port is open again."""
+    driver: ArmDriver = context.driver
+    while driver.stops_when_opened and not context.abandoned():
+        # The fault is expected: after the stop was sent, it is the stop itself.
+        with suppress(HardwareFault):
+            driver.connect(timeout=patience)
+        context.sleep(RETRY_S)
 
 
 def clear(context: JobContext, is_stopped: Callable[[Now], bool]) -> Reading | None:

@@ -457,6 +457,27 @@ def test_the_arm_homes_automatically_only_if_an_option_is_set() -> None:
     cell.wait_state(ArmState.IDLE)
 
 
+@pytest.mark.parametrize("cell", ["grbl", "marlin"], indirect=True)
+def test_a_stop_while_the_port_is_away_is_sent_as_soon_as_the_port_is_back(cell: Cell) -> None:
+    assert cell.line is not None
+    target = a_trajectory(np.array([-0.5, 1.0, -0.01, 0.5]), 20.0)
+    cell.publish("joint_trajectory", target)
+    cell.wait(cell.moving, "the arm moves")
+    cell.run(0.5)
+    cell.line.layer.hang_up(cell.now(), 1.0)
+    cell.line.schedule()
+    assert cell.call("~/stop").success
+    cell.run(0.9)
+    assert cell.moving() and cell.last.state == ArmState.STOPPED
+    cell.run(0.6)
+    assert not cell.moves(0.5)
+    assert cell.last.state == ArmState.STOPPED and not cell.last.homed
+    assert cell.call("~/clear_fault").success
+    cell.wait_state(ArmState.NOT_HOMED)
+    cell.ask("~/home")
+    cell.wait_state(ArmState.IDLE)
+
+
 def test_a_stop_source_lost_while_active_requires_a_confirmation(cell: Cell) -> None:
     """If the panel that stopped the cell disappears, a person must confirm that they have checked
     it before the stop can be cleared."""
