@@ -211,6 +211,8 @@ class ArmLogic(DeviceLogic[State, Event]):
         self._clear_of_camera = False
         self._tap_id = 0
         self._last_tap_id = 0
+        self._last_id = 0
+        """Id of the last command, a TAP or a CLEAR_VIEW."""
         self._expiry = 0
         self._halting = False
         self._camera: tuple[float, float, float] | None = None
@@ -279,7 +281,7 @@ class ArmLogic(DeviceLogic[State, Event]):
             self._clear_view(command, now)
             return
         self._machine.move(Event.TAP, S.PLACING)
-        self._tap_id = self._last_tap_id = command.tap_id
+        self._tap_id = self._last_tap_id = self._last_id = command.tap_id
         self._key_digests.clear()
         self._expiry = to_nanoseconds(command.expiry)
         self._error = (ErrorCode.NONE, "")
@@ -330,7 +332,7 @@ class ArmLogic(DeviceLogic[State, Event]):
     def _clear_view(self, command: TapCommand, now: Now) -> None:
         """Move the arm to uncover the area that the arm hides from the camera now."""
         self._machine.move(Event.CLEAR_VIEW, S.WITHDRAWING)
-        self._last_tap_id = command.tap_id
+        self._last_id = command.tap_id
         self._error = (ErrorCode.NONE, "")
         self._clear_of_camera = self._to_park = False
         self._scene = None
@@ -360,7 +362,7 @@ class ArmLogic(DeviceLogic[State, Event]):
             return enabling.RELEASED
         if tap_commands.expired(command, now):
             return ErrorCode.ARM_COMMAND_EXPIRED, tap_commands.overdue(command, now)
-        return tap_commands.refusal(command, now, self._last_tap_id)
+        return tap_commands.refusal(command, now, self._last_id)
 
     def _refuse(self, code: int, sentence: str) -> None:
         """Report why a command is refused. If the arm is idle, its state contains the reason until

@@ -373,6 +373,19 @@ def test_each_report_of_a_charged_striker_during_the_wait_delays_the_motion(
     assert began(name, reports) == pytest.approx(reports[-1] + arms.DISCHARGED_S, abs=0.011)
 
 
+def test_reports_of_the_last_tap_delay_a_motion_that_clears_the_view() -> None:
+    pair, withdrawal = moving("withdraw")
+    arm, now = pair.arm, at(START + 1.0)
+    arm.on_job(JobEnded(withdrawal.number, MotionEnd(True, Reading(True, PARK, False, START))), now)
+    command = replace(pair.command(TapCommand.CLEAR_VIEW, now), tap_id=TAP + 1)
+    made = arm.on_message("tap_command", command, now)
+    (job,) = (effect.job for effect in made if isinstance(effect, RunJob))
+    assert isinstance(job.run, partial)
+    context = Clockwork(pair, [START + 1.003, START + 1.5])
+    job.run(context, plan=lambda here: (Waypoint(here, 1.0, "aside"),))
+    assert context.began == pytest.approx(START + 1.5 + arms.DISCHARGED_S, abs=0.011)
+
+
 @pytest.mark.parametrize("name", ["withdraw", "follow"])
 def test_a_striker_charged_while_the_job_reads_the_joints_delays_the_motion(name: str) -> None:
     reports = [START + 1.003]
