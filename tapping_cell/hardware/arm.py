@@ -151,12 +151,13 @@ class ArmDriver:
         try:
             self._transport.open(timeout)
             if self._stopped.is_set() or self._stops_when_opened:
-                # The stop was requested while the port was closed, and the arm may still complete
-                # a move of an earlier process.
-                self._transport.stop(self._dialect.opening_stop_bytes)
+                # The stop was requested while the port was closed, and the arm may still complete a
+                # move that was sent before, perhaps by an earlier process.
+                sent = self._transport.stop(self._dialect.opening_stop_bytes)
                 if not self._stopped.is_set():
                     self._transport.release()
-                self._stops_when_opened = False
+                # If the port was lost again, the next attempt sends the stop.
+                self._stops_when_opened = not sent and not self._transport.is_open
             if self._firmware is not None:
                 self.counters.reconnects += 1
             firmware = self._dialect.connect(self._transport.now() + timeout)
@@ -172,6 +173,11 @@ class ArmDriver:
             self._homed = False
             self._confirmed = None
         return firmware
+
+    @property
+    def stops_when_opened(self) -> bool:
+        """Whether the next ``connect`` stops the arm as soon as the port is open."""
+        return self._stops_when_opened
 
     def stop_when_opened(self) -> None:
         """Let the next ``connect`` stop the arm as soon as the port is open, without a latch."""
@@ -285,12 +291,16 @@ class ArmDriver:
         """Stop the arm immediately and latch the stop until ``clear_fault``. May be called from any
         thread.
 
-        Returns whether the stop bytes were sent. The stop may be lost on its way, so the emergency
-        stop is wired in hardware.
+        Returns whether the stop bytes were sent. If not, the next ``connect`` sends a stop, even
+        after ``clear_fault``. The stop may be lost on its way, so the emergency stop is wired in
+        hardware.
         """
         self._stopped.set()
         self.counters.stops += 1
-        return self._transport.stop(self._dialect.stop_bytes)
+        sent = self._transport.stop(self._dialect.stop_bytes)
+        if not sent:
+            self._stops_when_opened = True
+        return sent
 
     def clear_fault(self, timeout: float = 5.0) -> None:
         """Clear a latched fault or stop, and reopen the line if it was lost.
@@ -307,7 +317,7 @@ class ArmDriver:
         self._transport.release()
         self._stopped.clear()
         try:
-            if not self.connected:
+            if not self.connected or self._stops_when_opened:
                 self._connect_to_locked(timeout)
             if must_unlock or self._dialect.read(self._reply_deadline()).alarm:
                 self._homed = False

@@ -66,8 +66,8 @@ DISCHARGED_S = 0.7
 """Maximum time from the last report of a charged striker until the board has discharged it
 automatically: the board waits for 0.5 s without a request, then its drive returns."""
 LONGEST_WAIT_S = 3.0
-"""Maximum time for which the arm waits after the end of a tap until the striker is discharged,
-s."""
+"""Maximum time for which the arm waits until the striker is discharged, s: once after the end of a
+tap, and again in each job that moves the arm."""
 CHARGED = (TapperState.CHARGING, TapperState.CHARGED, TapperState.FIRING)
 SET_UP_SPEED = 0.25
 """Fraction of the ordinary speed in set-up mode."""
@@ -211,6 +211,8 @@ class ArmLogic(DeviceLogic[State, Event]):
         self._clear_of_camera = False
         self._tap_id = 0
         self._last_tap_id = 0
+        self._last_id = 0
+        """Id of the last command, a TAP or a CLEAR_VIEW."""
         self._expiry = 0
         self._halting = False
         self._camera: tuple[float, float, float] | None = None
@@ -279,7 +281,7 @@ class ArmLogic(DeviceLogic[State, Event]):
             self._clear_view(command, now)
             return
         self._machine.move(Event.TAP, S.PLACING)
-        self._tap_id = self._last_tap_id = command.tap_id
+        self._tap_id = self._last_tap_id = self._last_id = command.tap_id
         self._key_digests.clear()
         self._expiry = to_nanoseconds(command.expiry)
         self._error = (ErrorCode.NONE, "")
@@ -330,7 +332,7 @@ class ArmLogic(DeviceLogic[State, Event]):
     def _clear_view(self, command: TapCommand, now: Now) -> None:
         """Move the arm to uncover the area that the arm hides from the camera now."""
         self._machine.move(Event.CLEAR_VIEW, S.WITHDRAWING)
-        self._last_tap_id = command.tap_id
+        self._last_id = command.tap_id
         self._error = (ErrorCode.NONE, "")
         self._clear_of_camera = self._to_park = False
         self._scene = None
@@ -342,11 +344,13 @@ class ArmLogic(DeviceLogic[State, Event]):
     def _run_plan(self, plan: Callable[[Joints], Sequence[Waypoint]], now: Now) -> None:
         """Start a move along the path that ``plan`` computes from the joint values of the arm at
         rest."""
+        self._run_when_free("withdraw", partial(arm_jobs.withdraw, plan=plan), now)
+
+    def _run_when_free(self, name: str, motion: Callable[..., MotionEnd], now: Now) -> None:
+        """Start a job that moves the arm as soon as the arm need not stand still any longer and the
+        striker is no longer charged."""
         not_before = self._free_at(now)
-        withdraw = partial(
-            arm_jobs.withdraw, plan=plan, not_before=not_before, free_at=self._free_at
-        )
-        self._run("withdraw", withdraw)
+        self._run(name, partial(motion, not_before=not_before, free_at=self._free_at))
 
     def _refusal(self, command: TapCommand, now: Now) -> CodedError | None:
         """Return why a tap command is refused, or None if it is accepted."""
@@ -358,7 +362,7 @@ class ArmLogic(DeviceLogic[State, Event]):
             return enabling.RELEASED
         if tap_commands.expired(command, now):
             return ErrorCode.ARM_COMMAND_EXPIRED, tap_commands.overdue(command, now)
-        return tap_commands.refusal(command, now, self._last_tap_id)
+        return tap_commands.refusal(command, now, self._last_id)
 
     def _refuse(self, code: int, sentence: str) -> None:
         """Report why a command is refused. If the arm is idle, its state contains the reason until
@@ -389,10 +393,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         self._error = (ErrorCode.NONE, "")
         self._clear_of_camera = False
         scale = SET_UP_SPEED if self._options.set_up else 1.0
-        self._run(
-            "follow",
-            partial(arm_jobs.follow, targets=targets, scale=scale, not_before=self._free_at(now)),
-        )
+        self._run_when_free("follow", partial(arm_jobs.follow, targets=targets, scale=scale), now)
 
     def _home(self, token: Token, now: Now) -> None:
         if not self._active:
@@ -409,16 +410,10 @@ class ArmLogic(DeviceLogic[State, Event]):
     def _begin_homing(self, now: Now) -> None:
         self._machine.move(Event.HOME, S.HOMING)
         self._error = (ErrorCode.NONE, "")
+        self._clear_of_camera = False
         strategy = HomingStrategy(self._cell.arm.homing)
-        self._run(
-            "home",
-            partial(
-                arm_jobs.home,
-                strategy=strategy,
-                motion=self._motion(),
-                not_before=self._free_at(now),
-            ),
-        )
+        home = partial(arm_jobs.home, strategy=strategy, motion=self._motion())
+        self._run_when_free("home", home, now)
 
     # Set-up mode
 
@@ -536,9 +531,9 @@ class ArmLogic(DeviceLogic[State, Event]):
         self._leave_when_free(now)
 
     def _free_at(self, now: Now) -> float:
-        """Return the earliest time, in s of the steady clock, at which a motion may begin. From
-        this time on, the arm does not have to stand still and the striker is no longer charged. The
-        wait for the striker is limited to ``LONGEST_WAIT_S``."""
+        """Return the earliest time, in s of the steady clock, at which a motion may begin that has
+        waited since ``now``. From this time on, the arm does not have to stand still and the
+        striker is no longer charged. The wait for the striker is limited to ``LONGEST_WAIT_S``."""
         return max(self._promise_end, min(self._charged_until, now.steady + LONGEST_WAIT_S))
 
     def _leave_when_free(self, now: Now) -> None:
@@ -562,6 +557,8 @@ class ArmLogic(DeviceLogic[State, Event]):
         self._take_in(content, now)
 
     def _job_done(self, name: str, result: Any, now: Now) -> None:
+        if name == "send stop":
+            return
         reading = result.reading if isinstance(result, MotionEnd) else result
         complete = not isinstance(result, MotionEnd) or result.complete
         self._take_in(reading, now)
@@ -596,7 +593,10 @@ class ArmLogic(DeviceLogic[State, Event]):
         if fault.reason is FaultReason.UNREACHABLE and self.state is S.PLACING:
             # No motion command was sent, so the arm has not moved and there is no fault to clear.
             self._set_error(of_arm(fault), fault.sentence)
-            self._give_up(now)
+            if self._halting:
+                self._halt(now)
+            else:
+                self._give_up(now)
             return
         if fault.reason in LINE_LOST:
             target = S.DISCONNECTED
@@ -659,6 +659,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         self._promise_end = max(self._promise_end, now.steady + permit.LONGEST_HOLD_S)
 
     def _closed(self) -> None:
+        self._halting = False
         self._tap_id = 0
         self._reading_kept = None
         if self.state is not S.STOPPED:
@@ -709,8 +710,8 @@ class ArmLogic(DeviceLogic[State, Event]):
         return self._reading_kept is not None and self._reading_kept.homed
 
     def _activated(self, now: Now) -> None:
-        self._halting = False
-        if self.state not in (S.NOT_HOMED, S.IDLE, S.INACTIVE):
+        # If a job abandoned at the deactivation still runs, its end activates the arm (``_halt``).
+        if self._halting or self.state not in (S.NOT_HOMED, S.IDLE, S.INACTIVE):
             return
         self._stand(Event.ACTIVATED)
         alone = self._options.home_on_activate and not self._options.set_up
@@ -742,6 +743,8 @@ class ArmLogic(DeviceLogic[State, Event]):
         self._reading_kept = None
         self._machine.move(Event.STOP, S.STOPPED)
         self._set_error(*self.stop_error)
+        if self._configured:
+            self._run("send stop", partial(arm_jobs.send_stop, patience=self.patience))
 
     def _fail(self, now: Now) -> None:
         if not self._stops.stopped:
@@ -760,7 +763,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         if self.state is S.CLEARING:
             return
         self._machine.move(Event.CLEAR, S.CLEARING)
-        self._run("clear", arm_jobs.clear)
+        self._run("clear", partial(arm_jobs.clear, is_stopped=lambda now: self.stopped))
 
     def _time_passed(self, now: Now) -> None:
         self._watch_enabling(now)

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 from tapping_cell.hardware.arm import ArmDriver
 from tapping_cell.hardware.arm_settings import ArmReading, HomingStrategy
+from tapping_cell.hardware.faults import HardwareFault
 from tapping_cell.hardware.motion import (
     MotionSettings,
     Waypoint,
@@ -17,6 +19,9 @@ from tapping_cell.hardware.motion import (
 from tapping_cell.hardware.scara import Joints, TipPose
 from tapping_cell.logic.clock import Now
 from tapping_cell.logic.effects import JobContext
+
+RETRY_S = 0.05
+"""Time between two attempts to send a stop, s."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,19 +67,41 @@ def read(context: JobContext) -> Reading:
     return reading_of(context.driver)
 
 
-def clear(context: JobContext) -> Reading:
-    """Clear a stop or a fault."""
+def send_stop(context: JobContext, patience: float) -> None:
+    """Send a stop that found the port closed, as soon as the port is open again."""
     driver: ArmDriver = context.driver
+    while driver.stops_when_opened and not context.abandoned():
+        # The fault is expected: after the stop was sent, it is the stop itself.
+        with suppress(HardwareFault):
+            driver.connect(timeout=patience)
+        context.sleep(RETRY_S)
+
+
+def clear(context: JobContext, is_stopped: Callable[[Now], bool]) -> Reading | None:
+    """Clear a stop or a fault; return None if another stop was received since the job was queued.
+
+    ``is_stopped``: query whether a stop is latched. Its answer waits until the host has carried out
+    all effects of a stop: the driver is stopped before the job is abandoned.
+    """
+    driver: ArmDriver = context.driver
+    if context.ask(is_stopped):
+        return None
     driver.clear_fault()
     return reading_of(driver)
 
 
 def home(
-    context: JobContext, strategy: HomingStrategy, motion: MotionSettings, not_before: float
+    context: JobContext,
+    strategy: HomingStrategy,
+    motion: MotionSettings,
+    not_before: float,
+    free_at: Callable[[Now], float],
 ) -> MotionEnd:
-    """Home the arm, then park it."""
+    """Home the arm, then park it. ``not_before`` and ``free_at``: see :func:`withdraw`."""
     driver: ArmDriver = context.driver
-    _wait(context, not_before)
+    _wait_until_free(context, not_before, free_at, lambda: None)
+    if context.abandoned():
+        return MotionEnd(False, reading_of(driver))
     driver.home(strategy)
     return _park(context, driver.read_joints(), motion)
 
@@ -82,7 +109,12 @@ def home(
 def place(
     context: JobContext, tip: TipPose, motion: MotionSettings, expiry: int, not_before: float
 ) -> MotionEnd:
-    """Move the tip to a pose in ``arm_base`` and settle there. ``expiry``: ROS time in ns."""
+    """Move the tip to a pose in ``arm_base`` and settle there. ``expiry``: ROS time in ns.
+
+    ``not_before``: earliest start, in s of the steady clock. Reports that the striker is charged
+    for this tap do not delay the motion, because the tapper charges only above the strike pose, and
+    from there the arm only moves down.
+    """
     driver: ArmDriver = context.driver
     _wait(context, not_before)
     path = strike_path(driver.geometry, driver.read_joints(), tip, motion)
@@ -101,13 +133,12 @@ def withdraw(
     """Leave the strike pose along the path that ``plan`` returns for the present joints.
 
     ``not_before``: earliest start, in s of the steady clock. ``free_at``: query for the earliest
-    start after the joints were read; a report that the striker is charged may have arrived since
-    the job began.
+    start of a motion that has waited since the given time; reports that the striker is charged may
+    arrive during the wait.
     """
     driver: ArmDriver = context.driver
-    here = driver.read_joints()
-    path = plan(here)
-    _wait(context, max(not_before, context.ask(free_at)))
+    path = plan(driver.read_joints())
+    _wait_until_free(context, not_before, free_at, driver.read_joints)
     complete = _move_along(context, path)
     return MotionEnd(complete, _make_reading(driver, driver.read()))
 
@@ -117,11 +148,14 @@ def follow(
     targets: Sequence[tuple[Joints, float]],
     scale: float,
     not_before: float,
+    free_at: Callable[[Now], float],
 ) -> MotionEnd:
     """Follow a trajectory of joints with times in s from its start; the arm stops at every point.
-    ``scale``: factor on the speed."""
+
+    ``scale``: factor on the speed. ``not_before`` and ``free_at``: see :func:`withdraw`.
+    """
     driver: ArmDriver = context.driver
-    _wait(context, not_before)
+    _wait_until_free(context, not_before, free_at, driver.read_joints)
     here, before, complete = driver.read_joints(), 0.0, True
     for target, at in targets:
         fastest = move_duration(driver.geometry, here, target, 1.0)
@@ -139,6 +173,26 @@ def _wait(context: JobContext, until: float) -> None:
     left = until - context.now().steady
     if left > 0:
         context.sleep(left)
+
+
+def _wait_until_free(
+    context: JobContext,
+    not_before: float,
+    free_at: Callable[[Now], float],
+    read: Callable[[], object],
+) -> None:
+    """Wait without moving until ``not_before`` and until ``free_at`` permits a motion.
+
+    ``read`` refreshes the reading of the joints before each query, so that the driver need not read
+    them between the last query and the start of the motion.
+    """
+    began = context.now()
+    while True:
+        read()
+        until = max(not_before, context.ask(lambda _: free_at(began)))
+        if until <= context.now().steady:
+            return
+        _wait(context, until)
 
 
 def _park(context: JobContext, here: Joints, motion: MotionSettings) -> MotionEnd:

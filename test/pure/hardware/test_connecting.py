@@ -252,3 +252,28 @@ def test_a_stop_before_the_port_is_open_ends_the_move_of_an_earlier_process(
         assert not driver.homed
     line.sleep(0.5)
     assert not board.moving(line.now())
+
+
+@pytest.mark.parametrize("make", [grbl, marlin])
+def test_a_stop_while_the_port_is_away_is_sent_before_the_stop_is_cleared(
+    make: Callable[[ControllerNeeds], ArmDriver],
+) -> None:
+    driver = make(MILD)
+    driver.connect()
+    driver.home(HomingStrategy.FIRMWARE)
+    line = driver._transport
+    assert isinstance(line, VirtualTransport)
+    board = line.layer.emulator
+    assert isinstance(board, ArmEmulator)
+    line.write(b"G90\nG1 X20 F120\n")  # 10 s at 2 degrees a second
+    line.sleep(0.5)
+    line.layer.hang_up(line.now(), 0.5)
+    assert not driver.stop() and driver.stops_when_opened
+    line.sleep(1.0)
+    assert board.moving(line.now())
+    began = line.now()
+    driver.clear_fault()
+    assert line.now() < began + 2.0, "the controller would refuse queries until the move has ended"
+    assert not board.moving(line.now())
+    assert not driver.stops_when_opened and not driver.homed and driver.fault is None
+    assert driver.home(HomingStrategy.FIRMWARE)

@@ -2,35 +2,43 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import accumulate
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_permit import CELL, TAP, Pair, at, jobs, messages
 
 from tapping_cell.hardware.arm_settings import ArmReading
 from tapping_cell.hardware.faults import FaultReason, HardwareFault
+from tapping_cell.hardware.motion import Waypoint
 from tapping_cell.hardware.scara import Joints
 from tapping_cell.logic import arm as arms
-from tapping_cell.logic import arm_jobs, permit
-from tapping_cell.logic.arm_jobs import Reading
-from tapping_cell.logic.effects import Effect, JobEnded, RunJob
+from tapping_cell.logic import permit
+from tapping_cell.logic.arm_jobs import MotionEnd, Reading
+from tapping_cell.logic.clock import Now
+from tapping_cell.logic.effects import AskStops, Effect, Job, JobEnded, RunJob, StopLevels
 from tapping_cell.logic.host import Activated, Configured, Deactivated
 from tapping_cell.messages import (
     ArmState,
     Bool,
     ErrorCode,
     HoldStill,
+    JointTrajectory,
+    JointTrajectoryPoint,
     TapCommand,
     TapperState,
     Trigger,
 )
 
 START = 1000.0
+PARK = Joints(*CELL.file.arm.park)
 
 
 def in_position() -> Pair:
@@ -119,6 +127,25 @@ def test_a_stop_preempts_any_activity() -> None:
     arm.on_job(JobEnded(number, here), at(START + 1.2))
     assert arm.state is arms.State.STOPPED
     assert jobs(arm.on_tick(at(START + 2.0))) == []
+
+
+@pytest.mark.parametrize("stopped_again", [True, False])
+def test_a_stop_before_the_job_that_clears_the_last_stop_ends_this_job(stopped_again: bool) -> None:
+    """The job is queued behind another job, such as a slow connect."""
+    pair = in_position()
+    arm, now = pair.arm, at(START + 1.0)
+    arm.on_request("~/stop", Trigger.Request(), 1, now)
+    made = arm.on_request("~/clear_fault", Trigger.Request(), 2, now)
+    (asked,) = (effect.token for effect in made if isinstance(effect, AskStops))
+    made = arm.on_answer(asked, StopLevels(False, (), ()), now)
+    (job,) = (effect.job for effect in made if isinstance(effect, RunJob))
+    if stopped_again:
+        arm.on_request("~/stop", Trigger.Request(), 3, now)
+    cleared: list[bool] = []
+    context = Clockwork(pair, [])
+    context.driver.clear_fault = lambda: cleared.append(True)
+    job.run(context)
+    assert bool(cleared) is not stopped_again
 
 
 def withdraws(made: Sequence[Effect]) -> bool:
@@ -224,30 +251,151 @@ def test_an_arm_that_was_deactivated_homes_only_when_the_striker_is_discharged(
     assert job.run.keywords["not_before"] == START + 1.0 + arms.DISCHARGED_S
 
 
-def test_a_striker_charged_while_the_withdrawal_reads_the_joints_delays_the_motion() -> None:
+@pytest.mark.parametrize("name", ["withdraw", "home", "follow", "place"])
+def test_an_arm_whose_motion_was_abandoned_does_not_report_that_it_is_out_of_view(
+    name: str,
+) -> None:
+    """The arm is activated again before the abandoned job has ended."""
+    pair, job = moving(name)
+    arm = pair.arm
+    arm.on_lifecycle(Deactivated(), at(START + 1.0))
+    arm.on_lifecycle(Activated(), at(START + 1.1))
+    assert messages(arm.on_tick(at(START + 1.2)), "arm_state")[-1].state != ArmState.IDLE
+    halfway = MotionEnd(False, Reading(True, PARK, False, START + 1.3))
+    (state,) = messages(arm.on_job(JobEnded(job.number, halfway), at(START + 1.3)), "arm_state")
+    assert (state.state, state.tap_id) == (ArmState.IDLE, 0)
+    assert not state.clear_of_camera
+
+
+def moving(name: str) -> tuple[Pair, Job]:
+    """Return an arm that runs the job ``name``, and this job. Before the job, the arm is out of the
+    camera's view unless the job itself ends a tap."""
     pair = in_position()
-    command = pair.command(TapCommand.WITHDRAW, at(START + 1.0))
-    made = pair.arm.on_message("tap_command", command, at(START + 1.0))
+    arm, now = pair.arm, at(START + 0.5)
+    made = arm.on_message("tap_command", pair.command(TapCommand.WITHDRAW, now), now)
+    if name != "withdraw":
+        arm.on_job(JobEnded(*jobs(made), MotionEnd(True, Reading(True, PARK, False, START))), now)
+        assert arm.state is arms.State.IDLE
+    if name == "home":
+        made = arm.on_request("~/home", Trigger.Request(), 1, now)
+    elif name == "follow":
+        trajectory = JointTrajectory(joint_names=list(Joints._fields))
+        trajectory.points = [JointTrajectoryPoint(positions=list(PARK))]
+        made = arm.on_message("joint_trajectory", trajectory, now)
+    elif name == "place":
+        tap = replace(pair.command(TapCommand.TAP, now), tap_id=TAP + 1)
+        made = arm.on_message("tap_command", tap, now)
     (job,) = (e.job for e in made if isinstance(e, RunJob))
-    assert isinstance(job.run, partial)
-    slept: list[float] = []
+    assert job.name == name
+    return pair, job
 
-    class Context:
-        """Context of the job: the report arrives while the driver reads the joints."""
 
-        driver = SimpleNamespace(
-            read_joints=lambda: report(pair, TapperState.CHARGED, START + 1.005),
-            read=lambda: ArmReading(Joints(*CELL.file.arm.park), False, "", True, START),
+def test_an_arm_deactivated_before_an_unreachable_strike_pose_is_found_does_not_withdraw() -> None:
+    pair, job = moving("place")
+    arm = pair.arm
+    arm.on_lifecycle(Deactivated(), at(START + 1.0))
+    fault = HardwareFault(FaultReason.UNREACHABLE, "joint elbow would need 170 deg")
+    assert not withdraws(arm.on_job(JobEnded(job.number, fault=fault), at(START + 1.1)))
+    assert arm.state is arms.State.INACTIVE
+    assert not withdraws(arm.on_tick(at(START + 1.2)))
+
+
+class Clockwork:
+    """Context of a job in virtual time. A report that the striker is charged arrives at each of the
+    given times, s."""
+
+    def __init__(self, pair: Pair, reports: Sequence[float]) -> None:
+        self._pair, self._reports = pair, list(reports)
+        self._time = START + 1.0
+        self.pass_time(0.0)
+        here = ArmReading(PARK, False, "", True, START)
+        self.driver = SimpleNamespace(
+            geometry=CELL.arm.geometry(),
             homed=True,
+            read_joints=lambda: self.pass_time(0.005),
+            read=lambda: here,
+            settle=lambda goal: here,
+            home=lambda strategy: self._begin(here),
+            move_to=lambda *where, **how: self._begin(here),
         )
-        now = staticmethod(lambda: at(START + 1.01))
-        sleep = staticmethod(slept.append)
-        abandoned = staticmethod(lambda: True)
-        ask = staticmethod(lambda query: query(at(START + 1.01)))
+        self.began = math.inf
+        """Time at which the motion began, s."""
 
-    keywords = job.run.keywords | {"plan": lambda here: ()}
-    arm_jobs.withdraw(Context(), **keywords)
-    assert slept == [pytest.approx(arms.DISCHARGED_S - 0.005)]
+    def pass_time(self, duration: float) -> Joints:
+        self._time += duration
+        while self._reports and self._reports[0] <= self._time:
+            report(self._pair, TapperState.CHARGED, self._reports.pop(0))
+        return PARK
+
+    def _begin(self, here: ArmReading) -> ArmReading:
+        self.began = min(self.began, self._time)
+        return here
+
+    def now(self) -> Now:
+        return at(self._time)
+
+    def sleep(self, duration: float) -> None:
+        self.pass_time(duration)
+
+    def abandoned(self) -> bool:
+        """Return whether the motion has begun: the rest of the motion does not matter here."""
+        return self.began < math.inf
+
+    def post(self, content: object) -> None:
+        """Discard the progress message."""
+
+    def ask(self, query: Callable[[Now], Any]) -> Any:
+        return query(self.now())
+
+
+def began(name: str, reports: Sequence[float]) -> float:
+    """Return when the motion of a job begins. The job runs from START + 1 s on."""
+    pair, job = moving(name)
+    assert isinstance(job.run, partial)
+    context = Clockwork(pair, reports)
+    aside = PARK._replace(shoulder=PARK.shoulder + 0.1)
+    keywords: dict[str, Any] = {
+        "withdraw": {"plan": lambda here: (Waypoint(aside, 1.0, "aside"),)},
+        "follow": {"targets": [(aside, 0.0)]},
+        "home": {},
+    }
+    job.run(context, **keywords[name])
+    return context.began
+
+
+@pytest.mark.parametrize("name", ["withdraw", "follow", "home"])
+@settings(max_examples=30)
+@given(st.lists(st.floats(0.0, arms.DISCHARGED_S - 0.01), max_size=3))
+def test_each_report_of_a_charged_striker_during_the_wait_delays_the_motion(
+    name: str, gaps: list[float]
+) -> None:
+    reports = list(accumulate(gaps, initial=START + 0.9))
+    assert began(name, reports) == pytest.approx(reports[-1] + arms.DISCHARGED_S, abs=0.011)
+
+
+def test_reports_of_the_last_tap_delay_a_motion_that_clears_the_view() -> None:
+    pair, withdrawal = moving("withdraw")
+    arm, now = pair.arm, at(START + 1.0)
+    arm.on_job(JobEnded(withdrawal.number, MotionEnd(True, Reading(True, PARK, False, START))), now)
+    command = replace(pair.command(TapCommand.CLEAR_VIEW, now), tap_id=TAP + 1)
+    made = arm.on_message("tap_command", command, now)
+    (job,) = (effect.job for effect in made if isinstance(effect, RunJob))
+    assert isinstance(job.run, partial)
+    context = Clockwork(pair, [START + 1.003, START + 1.5])
+    job.run(context, plan=lambda here: (Waypoint(here, 1.0, "aside"),))
+    assert context.began == pytest.approx(START + 1.5 + arms.DISCHARGED_S, abs=0.011)
+
+
+@pytest.mark.parametrize("name", ["withdraw", "follow"])
+def test_a_striker_charged_while_the_job_reads_the_joints_delays_the_motion(name: str) -> None:
+    reports = [START + 1.003]
+    assert began(name, reports) == pytest.approx(reports[-1] + arms.DISCHARGED_S, abs=0.011)
+
+
+@pytest.mark.parametrize("name", ["withdraw", "follow", "home"])
+def test_reports_of_a_charged_striker_delay_a_motion_for_a_limited_time(name: str) -> None:
+    reports = [START + 0.9 + 0.05 * count for count in range(200)]
+    assert began(name, reports) <= START + 1.01 + arms.LONGEST_WAIT_S
 
 
 def test_a_tapper_that_always_reports_charged_holds_the_arm_for_a_limited_time() -> None:

@@ -5,6 +5,7 @@ request."""
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -273,6 +274,36 @@ def test_an_inactive_arm_does_not_move(cell: Cell) -> None:
     assert not cell.moves(0.5)
 
 
+MOTIONS: dict[str, Callable[[Cell], object]] = {
+    "home": lambda cell: cell.ask("~/home"),
+    "trajectory": lambda cell: cell.publish(
+        "joint_trajectory", a_trajectory(np.array([0.3, 1.0, -0.01, 0.5]), 2.0)
+    ),
+    "tap": lambda cell: cell.command(101),
+    "clear view": lambda cell: cell.clear_view(101),
+}
+
+
+@pytest.mark.parametrize("motion", MOTIONS)
+def test_a_motion_that_waits_for_the_striker_does_not_begin_after_the_deactivation(
+    cell: Cell, motion: str
+) -> None:
+    cell.command(100)
+    cell.wait_state(ArmState.IN_POSITION)
+    cell.withdraw(100)
+    cell.wait_state(ArmState.IDLE)
+    cell.publish("tapper_state", TapperState(tap_id=100, state=TapperState.CHARGED))
+    cell.run(0.1)
+    MOTIONS[motion](cell)
+    cell.run(0.1)
+    assert cell.last.state != ArmState.IDLE and not cell.moving()
+    cell.process.lifecycle(Deactivated())
+    assert not cell.moves(2.0)
+    assert cell.last.error_code == ErrorCode.NOT_ACTIVE
+    cell.process.lifecycle(Activated())
+    cell.wait_state(ArmState.IDLE)
+
+
 def hold(cell: Cell, tap_id: int, duration: float = 0.25) -> Any:
     return cell.call("hold_still", HoldStill.Request(tap_id=tap_id, duration=duration))
 
@@ -423,6 +454,27 @@ def test_the_arm_homes_automatically_only_if_an_option_is_set() -> None:
     cell.wait_state(ArmState.NOT_HOMED)
     assert not cell.moves(1.0)
     assert cell.call("~/home").success
+    cell.wait_state(ArmState.IDLE)
+
+
+@pytest.mark.parametrize("cell", ["grbl", "marlin"], indirect=True)
+def test_a_stop_while_the_port_is_away_is_sent_as_soon_as_the_port_is_back(cell: Cell) -> None:
+    assert cell.line is not None
+    target = a_trajectory(np.array([-0.5, 1.0, -0.01, 0.5]), 20.0)
+    cell.publish("joint_trajectory", target)
+    cell.wait(cell.moving, "the arm moves")
+    cell.run(0.5)
+    cell.line.layer.hang_up(cell.now(), 1.0)
+    cell.line.schedule()
+    assert cell.call("~/stop").success
+    cell.run(0.9)
+    assert cell.moving() and cell.last.state == ArmState.STOPPED
+    cell.run(0.6)
+    assert not cell.moves(0.5)
+    assert cell.last.state == ArmState.STOPPED and not cell.last.homed
+    assert cell.call("~/clear_fault").success
+    cell.wait_state(ArmState.NOT_HOMED)
+    cell.ask("~/home")
     cell.wait_state(ArmState.IDLE)
 
 
