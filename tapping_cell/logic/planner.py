@@ -244,7 +244,6 @@ class PlannerLogic:
         self._handlers: Mapping[State, Callable[[Task, Now], None]] = {
             S.WAITING_FOR_CELL: self._wait_for_cell,
             S.LOOKING: self._observe,
-            S.PLANNING: self._wait_for_computation,
             S.CONFIRMING: self._wait_for_person,
             S.PLACING: self._wait_for_arm,
             S.FIRING: self._wait_for_tapper,
@@ -522,7 +521,8 @@ class PlannerLogic:
     # The cycle
 
     def _advance(self, now: Now) -> None:
-        """Run the handler of the present state."""
+        """Run the handler of the present state, unless a stop, a fault or the time limit ends the
+        goal."""
         if not self._active:
             return
         if self._resumed is not None:
@@ -532,6 +532,12 @@ class PlannerLogic:
         task = self._task
         if task is None:
             return
+        # Also while the goal waits for the cell: a person who clears a stop or a fault must not
+        # thereby start a motion.
+        fault = self._monitor.fault()
+        if fault is not None:
+            self._fail(*fault, now)
+            return
         if now.steady > task.expires:
             self._fail(
                 ErrorCode.DEADLINE_EXCEEDED,
@@ -540,7 +546,8 @@ class PlannerLogic:
                 now,
             )
             return
-        self._handlers[self.state](task, now)
+        if self.state is not S.PLANNING:  # the decision is received by ``on_job``
+            self._handlers[self.state](task, now)
 
     def _wait_for_cell(self, task: Task, now: Now) -> None:
         """Wait until arm, tapper and camera are ready; end a tap left over from a former run."""
@@ -610,13 +617,6 @@ class PlannerLogic:
         """Return whether a fixed tapper has moved the object and the object is at rest again. In
         this case, images show the result of the tap even before the striker has returned."""
         return self._monitor.at_rest_after(self._struck_at, now)
-
-    def _wait_for_computation(self, task: Task, now: Now) -> None:
-        """Wait for the job that computes the decision. A fault or the goal's time limit also ends
-        the wait."""
-        fault = self._monitor.fault()
-        if fault is not None:
-            self._fail(*fault, now)
 
     def _keep_observing(self, now: Now) -> None:
         """Continue the observation, so that more images are fused."""
@@ -755,10 +755,7 @@ class PlannerLogic:
         moves."""
         shot = self._proposed
         assert shot is not None
-        fault = self._monitor.fault()
-        if fault is not None:
-            self._fail(*fault, now)
-        elif self._monitor.lost(now):
+        if self._monitor.lost(now):
             self._wait_again(now)
         elif self._disturbed(shot, now):
             self._drop_proposal("an object was moved", now)
@@ -916,13 +913,12 @@ class PlannerLogic:
         )
 
     def _check_cell(self, code: int, sentence: str, now: Now) -> None:
-        """End a wait for arm or tapper if there is a fault, if the connection to a driver is lost,
-        or if the deadline has passed."""
-        fault = self._monitor.fault()
-        if fault is not None:
-            self._fail(*fault, now)
-        elif self._monitor.lost(now):
+        """End a wait for arm or tapper if the connection to a driver is lost, if the arm has lost
+        its reference, or if the deadline has passed."""
+        if self._monitor.lost(now):
             self._wait_again(now)
+        elif (unhomed := self._monitor.unhomed()) is not None:
+            self._fail(*unhomed, now)
         elif self._late(now):
             device = "arm" if self._has_arm else "tapper"
             self._fail(code, f"{sentence}; check the {device}, then send the goal again", now)

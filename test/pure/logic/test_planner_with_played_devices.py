@@ -77,6 +77,7 @@ class Actors(VirtualNode):
         self.arm_error: tuple[int, str] = (0, "")
         self.taps_out_of_reach = 0
         self.tapper_answers: int | None = TapperState.FIRED
+        self.tapper_state = TapperState.SAFE
         self.tapper_error: tuple[int, str] = (0, "")
         self.commands: list[TapCommand] = []
         self.tap: TapCommand | None = None
@@ -160,7 +161,7 @@ class Actors(VirtualNode):
             self.publish(
                 "tapper_state",
                 TapperState(
-                    state=TapperState.SAFE,
+                    state=self.tapper_state,
                     tap_id=tap_id,
                     outcome=self._outcome,
                     interlock_closed=True,
@@ -278,6 +279,74 @@ def test_a_faulted_arm_ends_the_goal_with_its_own_message(actors: Actors) -> Non
     actors.arm_state = ArmState.FAULT
     end = actors.end()
     assert (end.error_code, end.error_msg) == actors.arm_error
+
+
+STOPPED = (ErrorCode.TAPPER_STOPPED, "the tapper was stopped")
+
+
+@pytest.mark.parametrize(
+    "phase",
+    [
+        PlanState.WAITING_FOR_CELL,
+        PlanState.LOOKING,
+        PlanState.PLACING,
+        PlanState.FIRING,
+        PlanState.SETTLING,
+    ],
+)
+def test_a_stop_ends_the_goal_at_once_in_every_phase(actors: Actors, phase: int) -> None:
+    """Whoever clears the stop afterwards starts no motion."""
+    actors.visible = phase != PlanState.LOOKING
+    actors.camera_active = phase != PlanState.WAITING_FOR_CELL
+    actors.arm_arrives = phase != PlanState.PLACING
+    actors.arm_withdraws = phase != PlanState.SETTLING
+    if phase == PlanState.FIRING:
+        actors.tapper_answers = None
+    actors.run(0.6)
+    actors.send()
+    actors.wait(lambda: actors.plans[-1].state == phase, "the phase")
+    actors.tapper_state, actors.tapper_error = TapperState.STOPPED, STOPPED
+    actors.run(0.2)
+    end = actors.plans[-1]
+    assert (end.state, end.error_code, end.error_msg) == (PlanState.FAILED, *STOPPED)
+    commanded = len(actors.taps())
+    actors.tapper_state, actors.tapper_error = TapperState.SAFE, (0, "")
+    actors.visible = actors.camera_active = actors.arm_arrives = actors.arm_withdraws = True
+    actors.run(5.0)
+    assert len(actors.taps()) == commanded and actors.plans[-1].state == PlanState.FAILED
+
+
+def test_a_goal_that_is_sent_before_the_stop_is_known_ends_at_once(actors: Actors) -> None:
+    actors.tapper_active = False
+    actors.send()
+    actors.wait(lambda: actors.plans[-1].state == PlanState.WAITING_FOR_CELL, "the goal")
+    actors.tapper_state, actors.tapper_error = TapperState.STOPPED, STOPPED
+    actors.tapper_active = True
+    actors.run(0.2)
+    assert (actors.plans[-1].state, actors.plans[-1].error_code) == (PlanState.FAILED, STOPPED[0])
+
+
+@pytest.mark.parametrize("phase", [PlanState.PLACING, PlanState.SETTLING])
+def test_an_arm_that_loses_its_reference_ends_the_goal_at_once(actors: Actors, phase: int) -> None:
+    actors.arm_arrives = phase != PlanState.PLACING
+    actors.arm_withdraws = False
+    actors.send()
+    actors.wait(lambda: actors.plans[-1].state == phase, "the phase")
+    actors.arm_error = ErrorCode.ARM_NOT_HOMED, "the arm is not homed; home the arm"
+    actors.arm_state = ArmState.NOT_HOMED
+    actors.run(0.2)
+    end = actors.plans[-1]
+    assert (end.state, end.error_code, end.error_msg) == (PlanState.FAILED, *actors.arm_error)
+
+
+def test_a_goal_waits_for_an_arm_that_is_not_homed_yet(actors: Actors) -> None:
+    actors.arm_state = ArmState.NOT_HOMED
+    actors.run(0.6)
+    actors.send()
+    actors.run(1.0)
+    assert actors.plans[-1].state == PlanState.WAITING_FOR_CELL
+    actors.arm_state = ArmState.IDLE
+    assert actors.end().state == PlanState.REACHED
 
 
 def test_after_an_unknown_outcome_the_object_is_observed_and_the_tap_not_repeated(
