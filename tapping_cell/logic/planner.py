@@ -541,8 +541,8 @@ class PlannerLogic:
         if now.steady > task.expires:
             self._fail(
                 ErrorCode.DEADLINE_EXCEEDED,
-                f"the goal was not reached within its time limit ({len(task.records)} taps, last"
-                f" state {self.state.value}); send it again with a longer time limit",
+                f"the goal was not reached within its time limit ({len(task.records)} finished"
+                f" taps, last state {self.state.value}); send it again with a longer time limit",
                 now,
             )
             return
@@ -596,11 +596,11 @@ class PlannerLogic:
                 self._fail(*unknown, now)
             return
         shot, self._shot = self._shot, None
-        if shot is not None and shot.outcome != TapperState.NOT_FIRED:
-            task.take_in(shot, seen)
-            warning = task.session.edge_warning(from_message(seen.pose.pose))
-            if warning:
-                self._log(LogLevel.WARNING, warning)
+        if shot is not None:
+            # The tapper may have reported the outcome after the planner gave up the tap.
+            self._update_outcome(shot, now)
+            if shot.outcome != TapperState.NOT_FIRED:
+                self._take_in(task, shot, seen)
         task.arm = self._monitor.tip
         frames = 0 if self._late(now) else needed
         computation = task.computation(frames)
@@ -612,6 +612,14 @@ class PlannerLogic:
         self._computation += 1
         self._effects.append(RunJob(Job(self._computation, "plan", lambda _: computation())))
         self._enter(Event.OBSERVED, S.PLANNING, now, self._deadline - now.steady)
+
+    def _take_in(self, task: Task, shot: Shot, seen: ObjectState) -> None:
+        """Record and learn from a tap that was fired or may have been fired."""
+        self._confirmed = None
+        task.take_in(shot, seen)
+        warning = task.session.edge_warning(from_message(seen.pose.pose))
+        if warning:
+            self._log(LogLevel.WARNING, warning)
 
     def _moved_by_tap(self, now: Now) -> bool:
         """Return whether a fixed tapper has moved the object and the object is at rest again. In
@@ -818,8 +826,9 @@ class PlannerLogic:
         shot = self._shot
         assert shot is not None
         if self._disturbed(shot, now):
+            # arm_state may be late, so the tap may already have been fired. Only the tapper knows.
             self._log(LogLevel.WARNING, "an object was moved before the tap; observing again")
-            self._give_up(TapperState.NOT_FIRED, now)
+            self._give_up(TapperState.UNKNOWN, now)
         elif (unreachable := self._monitor.out_of_reach(shot.tap_id)) is not None:
             self._try_another_way(task, shot, *unreachable, now)
         elif self._monitor.outcome(shot.tap_id) != TapperState.NONE:
@@ -842,6 +851,7 @@ class PlannerLogic:
             self._fail(code, sentence, now)
             return
         self._log(LogLevel.WARNING, f"tap {shot.number}: {sentence}; planning another tap")
+        # The arm will not be in position for this tap, so the tapper cannot fire it.
         self._give_up(TapperState.NOT_FIRED, now)
 
     def _wait_for_tapper(self, task: Task, now: Now) -> None:
@@ -863,9 +873,7 @@ class PlannerLogic:
         """Process the outcome that the tapper reported."""
         tapper = self._monitor.tapper_of(shot.tap_id)
         assert tapper is not None
-        shot.outcome = self._monitor.outcome(shot.tap_id)
-        shot.measured_speed = tapper.measured_speed
-        shot.fired_at = now.ros
+        self._update_outcome(shot, now)
         if not self._has_arm and shot.outcome == TapperState.FIRED:
             self._struck_at = now.steady + shot.strike.plan.flight
         self._withdraw(shot.tap_id, now)
@@ -891,16 +899,24 @@ class PlannerLogic:
                 return
         else:
             task.not_fired = task.late = 0
-            self._confirmed = None
         self._enter(Event.OUTCOME_REPORTED, S.SETTLING, now, self._settings.withdraw_deadline)
+
+    def _update_outcome(self, shot: Shot, now: Now) -> None:
+        """Store the outcome that the tapper reports of a commanded tap. Without a report, an
+        outcome that the planner has not determined itself is unknown."""
+        tapper = self._monitor.tapper_of(shot.tap_id)
+        if tapper is None or tapper.outcome == TapperState.NONE:
+            shot.outcome = shot.outcome or TapperState.UNKNOWN
+            return
+        shot.outcome = tapper.outcome
+        shot.measured_speed = tapper.measured_speed
+        if shot.fired_at is None:
+            shot.fired_at = now.ros
 
     def _wait_for_withdrawal(self, task: Task, now: Now) -> None:
         """Wait until the arm has withdrawn and the camera has a free view."""
-        shot = self._shot
-        if shot is not None:
-            # The tapper may still report an outcome that the planner has already recorded as
-            # unknown.
-            shot.outcome = self._monitor.outcome(shot.tap_id) or shot.outcome
+        if self._shot is not None:
+            self._update_outcome(self._shot, now)
         if self._monitor.withdrawn(now) and now.steady >= self._parking_until:
             self._observe_after = now.steady
             self._enter(Event.WITHDRAWN, S.LOOKING, now, self._settings.observe_deadline)
@@ -947,20 +963,13 @@ class PlannerLogic:
         shot = self._shot
         assert shot is not None
         shot.outcome = outcome
-        if outcome == TapperState.UNKNOWN:
-            self._confirmed = None
         self._withdraw(shot.tap_id, now)
         self._enter(Event.GIVEN_UP, S.SETTLING, now, self._settings.withdraw_deadline)
 
     def _end_tap(self, now: Now) -> None:
         """Withdraw the tap under way, if any. Its outcome may remain unknown."""
-        shot = self._shot
-        if shot is None or self.state not in TAPPING:
-            return
-        self._withdraw(shot.tap_id, now)
-        if shot.outcome == TapperState.NONE:
-            placing = self.state is S.PLACING
-            shot.outcome = TapperState.NOT_FIRED if placing else TapperState.UNKNOWN
+        if self._shot is not None and self.state in TAPPING:
+            self._withdraw(self._shot.tap_id, now)
 
     def _withdraw(self, tap_id: int, now: Now) -> None:
         """Publish the withdrawal of a tap; repeated calls for the same tap have no effect."""
@@ -1036,6 +1045,7 @@ class PlannerLogic:
         self._machine.move(event, state)
         self._proposed = self._confirmed = None
         if self._shot is not None:
+            self._update_outcome(self._shot, now)
             task.lose(self._shot)
         task.end(code, sentence)
         self._report(now, code, sentence)

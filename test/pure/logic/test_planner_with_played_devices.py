@@ -81,7 +81,7 @@ class Actors(VirtualNode):
         self.tapper_error: tuple[int, str] = (0, "")
         self.commands: list[TapCommand] = []
         self.tap: TapCommand | None = None
-        self._outcome = TapperState.NONE
+        self.outcome = TapperState.NONE
         cell, maps = (cell, TableMaps(cell)) if cell is not None else shipped()
 
         def connect(_: Any, __: float, now: Now) -> GoalHandling:
@@ -114,7 +114,7 @@ class Actors(VirtualNode):
     def _on_command(self, command: TapCommand) -> None:
         self.commands.append(command)
         if command.request == TapCommand.TAP:
-            self.tap, self._outcome = command, TapperState.NONE
+            self.tap, self.outcome = command, TapperState.NONE
             if self.taps_out_of_reach:
                 self.taps_out_of_reach -= 1
                 self.arm_state = ArmState.WITHDRAWING
@@ -123,7 +123,7 @@ class Actors(VirtualNode):
             self.arm_error = (0, "")
             self.arm_state = ArmState.IN_POSITION if self.arm_arrives else ArmState.MOVING
             if self.arm_arrives and self.tapper_answers is not None:
-                self._outcome = self.tapper_answers
+                self.outcome = self.tapper_answers
                 fired = self.tapper_answers != TapperState.NOT_FIRED
                 if fired and self.moves_when_fired:
                     self.pose = from_message(command.predicted_pose)
@@ -163,7 +163,7 @@ class Actors(VirtualNode):
                 TapperState(
                     state=self.tapper_state,
                     tap_id=tap_id,
-                    outcome=self._outcome,
+                    outcome=self.outcome,
                     interlock_closed=True,
                     error_code=code,
                     error_msg=sentence,
@@ -347,6 +347,73 @@ def test_a_goal_waits_for_an_arm_that_is_not_homed_yet(actors: Actors) -> None:
     assert actors.plans[-1].state == PlanState.WAITING_FOR_CELL
     actors.arm_state = ArmState.IDLE
     assert actors.end().state == PlanState.REACHED
+
+
+@pytest.mark.parametrize(
+    ("phase", "reported", "outcomes"),
+    [
+        # In these phases the tapper may be about to fire, or its report may be under way.
+        (PlanState.PLACING, None, [TapperState.UNKNOWN]),
+        (PlanState.FIRING, None, [TapperState.UNKNOWN]),
+        (PlanState.SETTLING, TapperState.FIRED, [TapperState.FIRED]),
+        (PlanState.SETTLING, TapperState.UNKNOWN, [TapperState.UNKNOWN]),
+        (PlanState.SETTLING, TapperState.NOT_FIRED, []),
+    ],
+)
+def test_the_result_of_a_cancelled_goal_contains_a_tap_that_may_have_been_fired(
+    actors: Actors, phase: int, reported: int | None, outcomes: list[int]
+) -> None:
+    actors.arm_arrives = phase != PlanState.PLACING
+    actors.arm_withdraws = False
+    actors.tapper_answers = reported
+    reports: list[GoalReport] = []
+    actors.network.subscribe("test", "goal_report", lambda _, report: reports.append(report))
+    message = PoseStamped(pose=to_message(GOAL))
+    message.header.frame_id = "table"
+    results: list[PositionObject.Result] = []
+    asked = PositionObject.Goal(goal_pose=message)
+    actors.wait(lambda: actors.states, "the planner is up")
+    actors.run(0.3)
+    actors.process.request("position_object", asked, 1, results.append)
+    actors.wait(lambda: actors.plans[-1].state == phase, "the phase")
+    actors.process.request("cancel", None, 1, lambda _: None, waits=False)
+    actors.wait(lambda: results, "the result")
+    actors.run(0.1)
+    (result,) = results
+    assert result.error_code == ErrorCode.GOAL_CANCELED
+    assert [record.outcome for record in result.records] == outcomes
+    assert result.taps == actors.plans[-1].taps == len(outcomes)
+    assert [record.outcome for record in reports[0].records] == outcomes
+
+
+def test_a_shot_that_is_reported_after_its_tap_was_given_up_is_recorded(actors: Actors) -> None:
+    actors.arm_arrives = False
+    actors.send()
+    actors.wait(actors.taps, "a tap")
+    first = actors.taps()[0]
+    actors.pose, actors.at_rest = from_message(first.predicted_pose), False
+    actors.wait(lambda: actors.plans[-1].state == PlanState.LOOKING, "another observation")
+    actors.outcome = TapperState.FIRED
+    actors.run(0.1)
+    actors.arm_arrives = actors.at_rest = True
+    actors.wait(lambda: actors.plans[-1].last_tap.tap_id, "a record")
+    record = actors.plans[-1].last_tap
+    assert (record.tap_id, record.outcome) == (first.tap_id, TapperState.FIRED)
+
+
+def test_a_tap_that_the_tapper_did_not_fire_is_not_recorded_if_the_object_was_moved(
+    actors: Actors,
+) -> None:
+    actors.arm_arrives = False
+    actors.send()
+    actors.wait(actors.taps, "a tap")
+    actors.pose, actors.at_rest = Pose(-0.04, 0.03, 0.2), False
+    actors.wait(lambda: actors.plans[-1].state == PlanState.LOOKING, "another observation")
+    actors.outcome = TapperState.NOT_FIRED
+    actors.run(0.1)
+    actors.arm_arrives = actors.at_rest = True
+    end = actors.end()
+    assert end.state == PlanState.REACHED and end.taps == len(actors.taps()) - 1
 
 
 def test_after_an_unknown_outcome_the_object_is_observed_and_the_tap_not_repeated(
