@@ -79,6 +79,10 @@ WITHDRAWN_BY_ANOTHER = (
     "tap_command or tapper_state",
 )
 """Error to report if a tap was not fired although the tapper reports no error."""
+EMERGENCY_STOP = (
+    ErrorCode.EMERGENCY_STOP,
+    "emergency stop: make the cell safe, clear the faults, then send the goal again",
+)
 HIDDEN_S = 0.7
 """Maximum time, s, for which the object may be unseen after the withdrawal. After this time, the
 arm moves aside, because the arm may hide the object."""
@@ -237,6 +241,8 @@ class PlannerLogic:
         self._parking_until = -math.inf
         self._reported_at = -math.inf
         self._resumed: Request | None = None
+        self._stop_reported: CodedError | None = None
+        """A stop or fault that was reported since the start of this planner; None if none was."""
         self._effects: list[Effect] = []
         self._learnt: tuple[Gains | None, LearntGains] = (None, LearntGains())
         self.last = PlanState(residual_distance=math.nan, residual_rotation=math.nan)
@@ -302,13 +308,12 @@ class PlannerLogic:
             self._monitor.on_arm(message, now)
         elif topic == "tapper_state":
             self._monitor.on_tapper(message, now)
-        elif topic == "emergency_stop" and message.data and self._task is not None:
-            self._fail(
-                ErrorCode.EMERGENCY_STOP,
-                "emergency stop: make the cell safe, clear the faults, then send the goal again",
-                now,
-            )
+        elif topic == "emergency_stop" and message.data:
+            self._stop_reported = EMERGENCY_STOP
+            if self._task is not None:
+                self._fail(*EMERGENCY_STOP, now)
         if topic != "goal_pose":
+            self._stop_reported = self._stop_reported or self._monitor.fault()
             self._advance(now)
         return self._drain()
 
@@ -518,6 +523,18 @@ class PlannerLogic:
         message.header.frame_id = "table"
         self._resumed = Request(message, position, angle, taps, limit, ask=ask, object_id=name)
 
+    def _resume(self, request: Request, now: Now) -> None:
+        """Resume the goal of a planner that crashed. If a stop or a fault has been reported since
+        the start of this planner, end the goal, as the planner that crashed would have done."""
+        task = self.goals.accept(request, now)
+        if isinstance(task, Refused):
+            self._refuse(task, request, now)
+            return
+        self._log(LogLevel.WARNING, "resuming the goal of a planner that crashed")
+        self._begin(task, now)
+        if self._stop_reported is not None:
+            self._fail(*self._stop_reported, now)
+
     # The cycle
 
     def _advance(self, now: Now) -> None:
@@ -527,8 +544,7 @@ class PlannerLogic:
             return
         if self._resumed is not None:
             request, self._resumed = self._resumed, None
-            self._log(LogLevel.WARNING, "resuming the goal of a planner that crashed")
-            self._on_goal(request, now)
+            self._resume(request, now)
         task = self._task
         if task is None:
             return
