@@ -88,6 +88,10 @@ HIDDEN_S = 0.7
 arm moves aside, because the arm may hide the object."""
 PARKING_S = 0.5
 """Time within which an arm that was commanded to move aside reports that it moves."""
+WITHDRAW_AGAIN_S = 1.0
+"""Time after which a withdrawal is published again if the arm still serves the tap. A withdrawal
+that the arm receives twice makes it move to its park pose, so this time is much longer than the
+delay of a message."""
 REPORT_PERIOD_S = 0.5
 """Time between two reports while nothing changes. While a tap is under way, the planner reports at
 every tick, because the tapper discharges the striker if these reports end."""
@@ -236,6 +240,7 @@ class PlannerLogic:
         self._struck_at = math.inf
         self._last_tap_id = 0
         self._withdrawn_tap_id = 0
+        self._withdrawn_at = -math.inf
         self._parked_tap_id = 0
         self._view_cleared = False
         self._parking_until = -math.inf
@@ -369,6 +374,7 @@ class PlannerLogic:
     def on_tick(self, now: Now) -> Sequence[Effect]:
         """Check the deadlines and publish the periodic report."""
         self._advance(now)
+        self._repeat_withdrawal(now)
         quiet = now.steady - self._reported_at
         if self._active and (self.state in TAPPING or quiet > REPORT_PERIOD_S):
             if self._task is not None:
@@ -991,8 +997,17 @@ class PlannerLogic:
         """Publish the withdrawal of a tap; repeated calls for the same tap have no effect."""
         if tap_id == self._withdrawn_tap_id:
             return
-        self._withdrawn_tap_id = tap_id
+        self._withdrawn_tap_id, self._withdrawn_at = tap_id, now.steady
         self._publish_withdrawal(tap_id, now)
+
+    def _repeat_withdrawal(self, now: Now) -> None:
+        """Publish the last withdrawal again if it was lost: the arm still serves the tap."""
+        tap_id = self._withdrawn_tap_id
+        serving = tap_id and self._monitor.left_behind() == tap_id
+        due = now.steady > self._withdrawn_at + WITHDRAW_AGAIN_S
+        if self._active and serving and due and not self._monitor.silent("arm", now):
+            self._withdrawn_at = now.steady
+            self._publish_withdrawal(tap_id, now)
 
     def _publish_withdrawal(self, tap_id: int, now: Now) -> None:
         command = TapCommand(request=TapCommand.WITHDRAW, tap_id=tap_id)

@@ -73,6 +73,7 @@ class Actors(VirtualNode):
         self.visible = self.at_rest = True
         self.camera_active = self.arm_active = self.tapper_active = True
         self.arm_arrives = self.arm_withdraws = True
+        self.lost_withdrawals = 0
         self.arm_state = ArmState.IDLE
         self.arm_error: tuple[int, str] = (0, "")
         self.taps_out_of_reach = 0
@@ -127,6 +128,8 @@ class Actors(VirtualNode):
                 fired = self.tapper_answers != TapperState.NOT_FIRED
                 if fired and self.moves_when_fired:
                     self.pose = from_message(command.predicted_pose)
+        elif command.request == TapCommand.WITHDRAW and self.lost_withdrawals:
+            self.lost_withdrawals -= 1
         elif command.request == TapCommand.WITHDRAW and self.arm_withdraws:
             self.arm_state = ArmState.IDLE
 
@@ -566,6 +569,19 @@ def test_a_tap_left_by_a_crashed_planner_is_withdrawn(actors: Actors) -> None:
     actors.wait(lambda: actors.commands, "a command")
     assert actors.commands[0].request == TapCommand.WITHDRAW
     assert actors.commands[0].tap_id == 77
+    assert actors.end().state == PlanState.REACHED
+
+
+def test_a_lost_withdrawal_is_repeated(actors: Actors) -> None:
+    actors.lost_withdrawals = 1
+    actors.send()
+    assert actors.end().state == PlanState.REACHED
+
+
+def test_a_lost_withdrawal_of_a_crashed_planners_tap_is_repeated(actors: Actors) -> None:
+    actors.tap = TapCommand(tap_id=77)
+    actors.arm_state, actors.lost_withdrawals = ArmState.IN_POSITION, 1
+    actors.send()
     assert actors.end().state == PlanState.REACHED
 
 
