@@ -313,6 +313,7 @@ class PlannerLogic:
             self._monitor.on_arm(message, now)
         elif topic == "tapper_state":
             self._monitor.on_tapper(message, now)
+            self._note_outcome(now)
         elif topic == "emergency_stop" and message.data:
             self._stop_reported = EMERGENCY_STOP
             if self._task is not None:
@@ -387,8 +388,7 @@ class PlannerLogic:
     def on_defect(self, error: Exception, now: Now) -> Sequence[Effect]:
         """End the tap and the goal after a handler has raised ``error``."""
         self._effects.clear()
-        if self._shot is not None:
-            self._withdraw(self._shot.tap_id, now)
+        self._end_tap(now)
         if self._task is not None:
             self._finish(
                 S.FAILED,
@@ -618,11 +618,8 @@ class PlannerLogic:
                 self._fail(*unknown, now)
             return
         shot, self._shot = self._shot, None
-        if shot is not None:
-            # The tapper may have reported the outcome after the planner gave up the tap.
-            self._update_outcome(shot, now)
-            if shot.outcome != TapperState.NOT_FIRED:
-                self._take_in(task, shot, seen)
+        if shot is not None and shot.outcome != TapperState.NOT_FIRED:
+            self._take_in(task, shot, seen)
         task.arm = self._monitor.tip
         frames = 0 if self._late(now) else needed
         computation = task.computation(frames)
@@ -895,7 +892,6 @@ class PlannerLogic:
         """Process the outcome that the tapper reported."""
         tapper = self._monitor.tapper_of(shot.tap_id)
         assert tapper is not None
-        self._update_outcome(shot, now)
         if not self._has_arm and shot.outcome == TapperState.FIRED:
             self._struck_at = now.steady + shot.strike.plan.flight
         self._withdraw(shot.tap_id, now)
@@ -923,12 +919,12 @@ class PlannerLogic:
             task.not_fired = task.late = 0
         self._enter(Event.OUTCOME_REPORTED, S.SETTLING, now, self._settings.withdraw_deadline)
 
-    def _update_outcome(self, shot: Shot, now: Now) -> None:
-        """Store the outcome that the tapper reports of a commanded tap. Without a report, an
-        outcome that the planner has not determined itself is unknown."""
-        tapper = self._monitor.tapper_of(shot.tap_id)
-        if tapper is None or tapper.outcome == TapperState.NONE:
-            shot.outcome = shot.outcome or TapperState.UNKNOWN
+    def _note_outcome(self, now: Now) -> None:
+        """Store the outcome that the tapper reports of the last tap, possibly after the planner has
+        given up the tap."""
+        shot = self._shot
+        tapper = self._monitor.tapper_of(shot.tap_id) if shot is not None else None
+        if shot is None or tapper is None or tapper.outcome == TapperState.NONE:
             return
         shot.outcome = tapper.outcome
         shot.measured_speed = tapper.measured_speed
@@ -937,8 +933,6 @@ class PlannerLogic:
 
     def _wait_for_withdrawal(self, task: Task, now: Now) -> None:
         """Wait until the arm has withdrawn and the camera has a free view."""
-        if self._shot is not None:
-            self._update_outcome(self._shot, now)
         if self._monitor.withdrawn(now) and now.steady >= self._parking_until:
             self._observe_after = now.steady
             self._enter(Event.WITHDRAWN, S.LOOKING, now, self._settings.observe_deadline)
@@ -981,17 +975,21 @@ class PlannerLogic:
         return self.goals.others_moved(now)
 
     def _give_up(self, outcome: int, now: Now) -> None:
-        """Give up the tap under way and have the arm withdraw."""
+        """Give up the tap under way and have the arm withdraw. ``outcome``: outcome of the tap
+        unless the tapper reports it."""
         shot = self._shot
         assert shot is not None
-        shot.outcome = outcome
+        shot.outcome = shot.outcome or outcome
         self._withdraw(shot.tap_id, now)
         self._enter(Event.GIVEN_UP, S.SETTLING, now, self._settings.withdraw_deadline)
 
     def _end_tap(self, now: Now) -> None:
-        """Withdraw the tap under way, if any. Its outcome may remain unknown."""
-        if self._shot is not None and self.state in TAPPING:
-            self._withdraw(self._shot.tap_id, now)
+        """Withdraw the tap under way, if any. Its outcome is unknown until the tapper reports
+        it."""
+        shot = self._shot
+        if shot is not None and self.state in TAPPING:
+            self._withdraw(shot.tap_id, now)
+            shot.outcome = shot.outcome or TapperState.UNKNOWN
 
     def _withdraw(self, tap_id: int, now: Now) -> None:
         """Publish the withdrawal of a tap; repeated calls for the same tap have no effect."""
@@ -1076,7 +1074,6 @@ class PlannerLogic:
         self._machine.move(event, state)
         self._proposed = self._confirmed = None
         if self._shot is not None:
-            self._update_outcome(self._shot, now)
             task.lose(self._shot)
         task.end(code, sentence)
         self._report(now, code, sentence)
