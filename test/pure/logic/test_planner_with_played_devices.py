@@ -414,6 +414,8 @@ def test_a_tap_that_the_tapper_did_not_fire_is_not_recorded_if_the_object_was_mo
     actors.wait(lambda: actors.plans[-1].state == PlanState.LOOKING, "another observation")
     actors.outcome = TapperState.NOT_FIRED
     actors.run(0.1)
+    actors.tap = None  # tapper_state of another tapper's node follows
+    actors.run(0.1)
     actors.arm_arrives = actors.at_rest = True
     end = actors.end()
     assert end.state == PlanState.REACHED and end.taps == len(actors.taps()) - 1
