@@ -3,7 +3,6 @@ tappers."""
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 
 from tapping_cell.calibration.csv_table import RecordError
@@ -25,4 +24,4 @@ def measured_taps(folder: Path, object_name: str) -> list[TapRow]:
             f"'{object_name}'; give the file of the object that was tapped (--object)"
         )
     # An unmeasured pose is NaN.
-    return [tap for tap in run.taps if tap.outcome == "fired" and math.isfinite(tap.measured.x)]
+    return [tap for tap in run.taps if tap.outcome == "fired" and tap.seen]

@@ -206,10 +206,15 @@ def tap_text(event: TapDone) -> str:
     """Format one tap as one line."""
     record = event.record
     before, measured = from_message(record.object_pose), from_message(record.measured_pose.pose)
+    moved = (
+        f"moved {1000 * before.distance_to(measured):.1f} mm and "
+        f"{math.degrees(before.rotation_to(measured)):+.1f} deg"
+        if math.isfinite(measured.x)
+        else "the object was not seen afterwards"
+    )
     return (
         f"tap {record.number} ({record.planner}): striker {1000 * record.striker_speed:.0f} mm/s, "
-        f"moved {1000 * before.distance_to(measured):.1f} mm and "
-        f"{math.degrees(before.rotation_to(measured)):+.1f} deg; remaining "
+        f"{moved}; remaining "
         f"{1000 * event.residual_distance:.2f} mm and "
         f"{math.degrees(event.residual_rotation):.2f} deg"
     )

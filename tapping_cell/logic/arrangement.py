@@ -29,7 +29,6 @@ from tapping_cell.messages import (
     PoseStamped,
     PositionObject,
     SingleTap,
-    TapperState,
 )
 from tapping_cell.planning import Decision, Done, Gains, KeepOut, Refusal
 from tapping_cell.planning.arrangement import (
@@ -300,11 +299,6 @@ class ArrangementTask(Task):
             taps=len(self.records),
             records=self.records,
         )
-
-    def lose(self, shot: Shot) -> None:
-        """Record the tap if it was fired or may have been fired."""
-        if shot.outcome in (TapperState.FIRED, TapperState.UNKNOWN):
-            self.records.append(shot.record(None, self.session.gains))
 
     def _bodies(self) -> Sequence[Body]:
         return self.bodies if self.arrangement is None else self.arrangement.bodies

@@ -225,6 +225,13 @@ class CellMonitor:
                 return state.error_code or ErrorCode.NOT_READY, state.error_msg
         return None
 
+    def unhomed(self) -> CodedError | None:
+        """Return the error of an arm whose position is not known, or None."""
+        arm = self.arm
+        if not self.has_arm or arm is None or arm.state != ArmState.NOT_HOMED:
+            return None
+        return arm.error_code or ErrorCode.ARM_NOT_HOMED, arm.error_msg
+
     def lost(self, now: Now) -> bool:
         """Return whether the connection to arm or tapper is lost; their drivers reconnect
         automatically."""

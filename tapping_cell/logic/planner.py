@@ -79,11 +79,19 @@ WITHDRAWN_BY_ANOTHER = (
     "tap_command or tapper_state",
 )
 """Error to report if a tap was not fired although the tapper reports no error."""
+EMERGENCY_STOP = (
+    ErrorCode.EMERGENCY_STOP,
+    "emergency stop: make the cell safe, clear the faults, then send the goal again",
+)
 HIDDEN_S = 0.7
 """Maximum time, s, for which the object may be unseen after the withdrawal. After this time, the
 arm moves aside, because the arm may hide the object."""
 PARKING_S = 0.5
 """Time within which an arm that was commanded to move aside reports that it moves."""
+WITHDRAW_AGAIN_S = 1.0
+"""Time after which a withdrawal is published again if the arm still serves the tap. A withdrawal
+that the arm receives twice makes it move to its park pose, so this time is much longer than the
+delay of a message."""
 REPORT_PERIOD_S = 0.5
 """Time between two reports while nothing changes. While a tap is under way, the planner reports at
 every tick, because the tapper discharges the striker if these reports end."""
@@ -232,11 +240,14 @@ class PlannerLogic:
         self._struck_at = math.inf
         self._last_tap_id = 0
         self._withdrawn_tap_id = 0
+        self._withdrawn_at = -math.inf
         self._parked_tap_id = 0
         self._view_cleared = False
         self._parking_until = -math.inf
         self._reported_at = -math.inf
         self._resumed: Request | None = None
+        self._stop_reported: CodedError | None = None
+        """A stop or fault that was reported since the start of this planner; None if none was."""
         self._effects: list[Effect] = []
         self._learnt: tuple[Gains | None, LearntGains] = (None, LearntGains())
         self.last = PlanState(residual_distance=math.nan, residual_rotation=math.nan)
@@ -244,7 +255,6 @@ class PlannerLogic:
         self._handlers: Mapping[State, Callable[[Task, Now], None]] = {
             S.WAITING_FOR_CELL: self._wait_for_cell,
             S.LOOKING: self._observe,
-            S.PLANNING: self._wait_for_computation,
             S.CONFIRMING: self._wait_for_person,
             S.PLACING: self._wait_for_arm,
             S.FIRING: self._wait_for_tapper,
@@ -303,13 +313,13 @@ class PlannerLogic:
             self._monitor.on_arm(message, now)
         elif topic == "tapper_state":
             self._monitor.on_tapper(message, now)
-        elif topic == "emergency_stop" and message.data and self._task is not None:
-            self._fail(
-                ErrorCode.EMERGENCY_STOP,
-                "emergency stop: make the cell safe, clear the faults, then send the goal again",
-                now,
-            )
+            self._note_outcome(now)
+        elif topic == "emergency_stop" and message.data:
+            self._stop_reported = EMERGENCY_STOP
+            if self._task is not None:
+                self._fail(*EMERGENCY_STOP, now)
         if topic != "goal_pose":
+            self._stop_reported = self._stop_reported or self._monitor.fault()
             self._advance(now)
         return self._drain()
 
@@ -365,6 +375,7 @@ class PlannerLogic:
     def on_tick(self, now: Now) -> Sequence[Effect]:
         """Check the deadlines and publish the periodic report."""
         self._advance(now)
+        self._repeat_withdrawal(now)
         quiet = now.steady - self._reported_at
         if self._active and (self.state in TAPPING or quiet > REPORT_PERIOD_S):
             if self._task is not None:
@@ -377,8 +388,7 @@ class PlannerLogic:
     def on_defect(self, error: Exception, now: Now) -> Sequence[Effect]:
         """End the tap and the goal after a handler has raised ``error``."""
         self._effects.clear()
-        if self._shot is not None:
-            self._withdraw(self._shot.tap_id, now)
+        self._end_tap(now)
         if self._task is not None:
             self._finish(
                 S.FAILED,
@@ -519,28 +529,47 @@ class PlannerLogic:
         message.header.frame_id = "table"
         self._resumed = Request(message, position, angle, taps, limit, ask=ask, object_id=name)
 
+    def _resume(self, request: Request, now: Now) -> None:
+        """Resume the goal of a planner that crashed. If a stop or a fault has been reported since
+        the start of this planner, end the goal, as the planner that crashed would have done."""
+        task = self.goals.accept(request, now)
+        if isinstance(task, Refused):
+            self._refuse(task, request, now)
+            return
+        self._log(LogLevel.WARNING, "resuming the goal of a planner that crashed")
+        self._begin(task, now)
+        if self._stop_reported is not None:
+            self._fail(*self._stop_reported, now)
+
     # The cycle
 
     def _advance(self, now: Now) -> None:
-        """Run the handler of the present state."""
+        """Run the handler of the present state, unless a stop, a fault or the time limit ends the
+        goal."""
         if not self._active:
             return
         if self._resumed is not None:
             request, self._resumed = self._resumed, None
-            self._log(LogLevel.WARNING, "resuming the goal of a planner that crashed")
-            self._on_goal(request, now)
+            self._resume(request, now)
         task = self._task
         if task is None:
+            return
+        # Also while the goal waits for the cell: a person who clears a stop or a fault must not
+        # thereby start a motion.
+        fault = self._monitor.fault()
+        if fault is not None:
+            self._fail(*fault, now)
             return
         if now.steady > task.expires:
             self._fail(
                 ErrorCode.DEADLINE_EXCEEDED,
-                f"the goal was not reached within its time limit ({len(task.records)} taps, last"
-                f" state {self.state.value}); send it again with a longer time limit",
+                f"the goal was not reached within its time limit ({len(task.records)} finished"
+                f" taps, last state {self.state.value}); send it again with a longer time limit",
                 now,
             )
             return
-        self._handlers[self.state](task, now)
+        if self.state is not S.PLANNING:  # the decision is received by ``on_job``
+            self._handlers[self.state](task, now)
 
     def _wait_for_cell(self, task: Task, now: Now) -> None:
         """Wait until arm, tapper and camera are ready; end a tap left over from a former run."""
@@ -590,10 +619,7 @@ class PlannerLogic:
             return
         shot, self._shot = self._shot, None
         if shot is not None and shot.outcome != TapperState.NOT_FIRED:
-            task.take_in(shot, seen)
-            warning = task.session.edge_warning(from_message(seen.pose.pose))
-            if warning:
-                self._log(LogLevel.WARNING, warning)
+            self._take_in(task, shot, seen)
         task.arm = self._monitor.tip
         frames = 0 if self._late(now) else needed
         computation = task.computation(frames)
@@ -606,17 +632,18 @@ class PlannerLogic:
         self._effects.append(RunJob(Job(self._computation, "plan", lambda _: computation())))
         self._enter(Event.OBSERVED, S.PLANNING, now, self._deadline - now.steady)
 
+    def _take_in(self, task: Task, shot: Shot, seen: ObjectState) -> None:
+        """Record and learn from a tap that was fired or may have been fired."""
+        self._confirmed = None
+        task.take_in(shot, seen)
+        warning = task.session.edge_warning(from_message(seen.pose.pose))
+        if warning:
+            self._log(LogLevel.WARNING, warning)
+
     def _moved_by_tap(self, now: Now) -> bool:
         """Return whether a fixed tapper has moved the object and the object is at rest again. In
         this case, images show the result of the tap even before the striker has returned."""
         return self._monitor.at_rest_after(self._struck_at, now)
-
-    def _wait_for_computation(self, task: Task, now: Now) -> None:
-        """Wait for the job that computes the decision. A fault or the goal's time limit also ends
-        the wait."""
-        fault = self._monitor.fault()
-        if fault is not None:
-            self._fail(*fault, now)
 
     def _keep_observing(self, now: Now) -> None:
         """Continue the observation, so that more images are fused."""
@@ -755,10 +782,7 @@ class PlannerLogic:
         moves."""
         shot = self._proposed
         assert shot is not None
-        fault = self._monitor.fault()
-        if fault is not None:
-            self._fail(*fault, now)
-        elif self._monitor.lost(now):
+        if self._monitor.lost(now):
             self._wait_again(now)
         elif self._disturbed(shot, now):
             self._drop_proposal("an object was moved", now)
@@ -821,8 +845,9 @@ class PlannerLogic:
         shot = self._shot
         assert shot is not None
         if self._disturbed(shot, now):
+            # arm_state may be late, so the tap may already have been fired. Only the tapper knows.
             self._log(LogLevel.WARNING, "an object was moved before the tap; observing again")
-            self._give_up(TapperState.NOT_FIRED, now)
+            self._give_up(TapperState.UNKNOWN, now)
         elif (unreachable := self._monitor.out_of_reach(shot.tap_id)) is not None:
             self._try_another_way(task, shot, *unreachable, now)
         elif self._monitor.outcome(shot.tap_id) != TapperState.NONE:
@@ -845,6 +870,7 @@ class PlannerLogic:
             self._fail(code, sentence, now)
             return
         self._log(LogLevel.WARNING, f"tap {shot.number}: {sentence}; planning another tap")
+        # The arm will not be in position for this tap, so the tapper cannot fire it.
         self._give_up(TapperState.NOT_FIRED, now)
 
     def _wait_for_tapper(self, task: Task, now: Now) -> None:
@@ -866,9 +892,6 @@ class PlannerLogic:
         """Process the outcome that the tapper reported."""
         tapper = self._monitor.tapper_of(shot.tap_id)
         assert tapper is not None
-        shot.outcome = self._monitor.outcome(shot.tap_id)
-        shot.measured_speed = tapper.measured_speed
-        shot.fired_at = now.ros
         if not self._has_arm and shot.outcome == TapperState.FIRED:
             self._struck_at = now.steady + shot.strike.plan.flight
         self._withdraw(shot.tap_id, now)
@@ -894,16 +917,22 @@ class PlannerLogic:
                 return
         else:
             task.not_fired = task.late = 0
-            self._confirmed = None
         self._enter(Event.OUTCOME_REPORTED, S.SETTLING, now, self._settings.withdraw_deadline)
+
+    def _note_outcome(self, now: Now) -> None:
+        """Store the outcome that the tapper reports of the last tap, possibly after the planner has
+        given up the tap."""
+        shot = self._shot
+        tapper = self._monitor.tapper_of(shot.tap_id) if shot is not None else None
+        if shot is None or tapper is None or tapper.outcome == TapperState.NONE:
+            return
+        shot.outcome = tapper.outcome
+        shot.measured_speed = tapper.measured_speed
+        if shot.fired_at is None:
+            shot.fired_at = now.ros
 
     def _wait_for_withdrawal(self, task: Task, now: Now) -> None:
         """Wait until the arm has withdrawn and the camera has a free view."""
-        shot = self._shot
-        if shot is not None:
-            # The tapper may still report an outcome that the planner has already recorded as
-            # unknown.
-            shot.outcome = self._monitor.outcome(shot.tap_id) or shot.outcome
         if self._monitor.withdrawn(now) and now.steady >= self._parking_until:
             self._observe_after = now.steady
             self._enter(Event.WITHDRAWN, S.LOOKING, now, self._settings.observe_deadline)
@@ -916,13 +945,12 @@ class PlannerLogic:
         )
 
     def _check_cell(self, code: int, sentence: str, now: Now) -> None:
-        """End a wait for arm or tapper if there is a fault, if the connection to a driver is lost,
-        or if the deadline has passed."""
-        fault = self._monitor.fault()
-        if fault is not None:
-            self._fail(*fault, now)
-        elif self._monitor.lost(now):
+        """End a wait for arm or tapper if the connection to a driver is lost, if the arm has lost
+        its reference, or if the deadline has passed."""
+        if self._monitor.lost(now):
             self._wait_again(now)
+        elif (unhomed := self._monitor.unhomed()) is not None:
+            self._fail(*unhomed, now)
         elif self._late(now):
             device = "arm" if self._has_arm else "tapper"
             self._fail(code, f"{sentence}; check the {device}, then send the goal again", now)
@@ -947,31 +975,37 @@ class PlannerLogic:
         return self.goals.others_moved(now)
 
     def _give_up(self, outcome: int, now: Now) -> None:
-        """Give up the tap under way and have the arm withdraw."""
+        """Give up the tap under way and have the arm withdraw. ``outcome``: outcome of the tap
+        unless the tapper reports it."""
         shot = self._shot
         assert shot is not None
-        shot.outcome = outcome
-        if outcome == TapperState.UNKNOWN:
-            self._confirmed = None
+        shot.outcome = shot.outcome or outcome
         self._withdraw(shot.tap_id, now)
         self._enter(Event.GIVEN_UP, S.SETTLING, now, self._settings.withdraw_deadline)
 
     def _end_tap(self, now: Now) -> None:
-        """Withdraw the tap under way, if any. Its outcome may remain unknown."""
+        """Withdraw the tap under way, if any. Its outcome is unknown until the tapper reports
+        it."""
         shot = self._shot
-        if shot is None or self.state not in TAPPING:
-            return
-        self._withdraw(shot.tap_id, now)
-        if shot.outcome == TapperState.NONE:
-            placing = self.state is S.PLACING
-            shot.outcome = TapperState.NOT_FIRED if placing else TapperState.UNKNOWN
+        if shot is not None and self.state in TAPPING:
+            self._withdraw(shot.tap_id, now)
+            shot.outcome = shot.outcome or TapperState.UNKNOWN
 
     def _withdraw(self, tap_id: int, now: Now) -> None:
         """Publish the withdrawal of a tap; repeated calls for the same tap have no effect."""
         if tap_id == self._withdrawn_tap_id:
             return
-        self._withdrawn_tap_id = tap_id
+        self._withdrawn_tap_id, self._withdrawn_at = tap_id, now.steady
         self._publish_withdrawal(tap_id, now)
+
+    def _repeat_withdrawal(self, now: Now) -> None:
+        """Publish the last withdrawal again if it was lost: the arm still serves the tap."""
+        tap_id = self._withdrawn_tap_id
+        serving = tap_id and self._monitor.left_behind() == tap_id
+        due = now.steady > self._withdrawn_at + WITHDRAW_AGAIN_S
+        if self._active and serving and due and not self._monitor.silent("arm", now):
+            self._withdrawn_at = now.steady
+            self._publish_withdrawal(tap_id, now)
 
     def _publish_withdrawal(self, tap_id: int, now: Now) -> None:
         command = TapCommand(request=TapCommand.WITHDRAW, tap_id=tap_id)

@@ -249,7 +249,9 @@ class Task:
         self.session.observe(shot.strike, shot.before, pose, covariance)
 
     def lose(self, shot: Shot) -> None:
-        """Handle the end of the goal during the tap ``shot``."""
+        """Record the tap during which the goal ended if it was fired or may have been fired."""
+        if shot.outcome in (TapperState.FIRED, TapperState.UNKNOWN):
+            self.records.append(shot.record(None, self.session.gains))
 
     def end(self, code: int, sentence: str) -> None:
         """Handle the end of the goal; ``code`` is NONE if it was reached."""
@@ -340,8 +342,3 @@ class SingleTapTask(Task):
         """Return the action's result: the record of the tap."""
         record = self.records[-1] if self.records else TapRecord()
         return SingleTap.Result(error_code=code, error_msg=sentence, record=record)
-
-    def lose(self, shot: Shot) -> None:
-        """Record the tap if it was fired or may have been fired."""
-        if shot.outcome in (TapperState.FIRED, TapperState.UNKNOWN):
-            self.records.append(shot.record(None, self.session.gains))

@@ -22,7 +22,7 @@ ARROW_MM = 42.0
 
 def animation(run: Run, plan: Plan) -> str:
     """Draw the animation into a plan of the table; return "" if no tap has a measured result."""
-    taps = [tap for tap in run.taps if math.isfinite(tap.measured.x)]
+    taps = [tap for tap in run.taps if tap.seen]
     if run.start is None or not taps:
         return ""
     outline = np.asarray(run.outline, dtype=float).reshape(-1, 2)

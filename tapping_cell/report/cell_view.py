@@ -12,7 +12,7 @@ from matplotlib.patches import Circle, Polygon, Rectangle
 from matplotlib.ticker import MaxNLocator
 
 from tapping_cell.report.palette import GOAL, LINE, REST, START, STRIKE, TABLE, WAITING
-from tapping_cell.report.run import Run
+from tapping_cell.report.run import Run, TapRow
 from tapping_cell.report.words import counted, motion, remaining_error
 from tapping_cell.se2 import Array, Pose, transform_points
 
@@ -47,6 +47,11 @@ def _moves(run: Run) -> str:
     return "     ".join(parts)
 
 
+def _seen(run: Run) -> list[TapRow]:
+    """Return the taps after which the object was seen."""
+    return [tap for tap in run.taps if tap.seen]
+
+
 def _mm(pose: Pose) -> tuple[float, float]:
     return 1000 * pose.x, 1000 * pose.y
 
@@ -67,7 +72,7 @@ def _draw_table(axes: Axes, run: Run) -> None:
     x, y = 500 * length, 500 * width
     axes.add_patch(Rectangle((-x, -y), 2 * x, 2 * y, facecolor=TABLE, edgecolor=LINE))
     poses = [(run.start, START, 1.0)] if run.start is not None else []
-    poses += [(tap.measured, REST, 0.35 + 0.5 * tap.number / len(run.taps)) for tap in run.taps]
+    poses += [(tap.measured, REST, 0.35 + 0.5 * tap.number / len(run.taps)) for tap in _seen(run)]
     for pose, colour, alpha in poses:
         axes.add_patch(
             Polygon(_outline_at(run, pose), fill=False, edgecolor=colour, alpha=alpha, lw=1.2)
@@ -112,7 +117,7 @@ def _draw_close_up(axes: Axes, run: Run) -> None:
         axes.plot(*_mm(run.start), marker="o", color=START, ms=6)
         axes.annotate("start", _mm(run.start), (-4, 10), textcoords="offset points", color=START)
     arrow = {"arrowstyle": "-|>", "color": REST, "lw": 1.5, "shrinkA": 0, "shrinkB": 0}
-    for tap in run.taps:
+    for tap in _seen(run):
         axes.annotate("", xy=_mm(tap.measured), xytext=_mm(tap.before), arrowprops=arrow)
         axes.plot(*_mm(tap.predicted), marker="x", color=WAITING, ms=6)
         axes.annotate(
@@ -121,7 +126,7 @@ def _draw_close_up(axes: Axes, run: Run) -> None:
     axes.plot([], [], marker="x", ls="", color=WAITING, label="predicted end of a tap")
     axes.plot([], [], color=REST, label="measured move of a tap")
     axes.legend(loc="best", fontsize=8)
-    points = np.array([_mm(pose) for pose in ends] + [_mm(tap.measured) for tap in run.taps])
+    points = np.array([_mm(pose) for pose in ends] + [_mm(tap.measured) for tap in _seen(run)])
     if len(points):
         middle = (points.min(axis=0) + points.max(axis=0)) / 2
         half = max(float(np.max(np.ptp(points, axis=0))) / 2 * 1.35, 4 * tolerance, 1.0)
@@ -138,7 +143,7 @@ def _draw_close_up(axes: Axes, run: Run) -> None:
 def _draw_residuals(upper: Axes, lower: Axes, run: Run) -> None:
     goal = run.goal
     starts = [run.start] if run.start is not None else []
-    poses = [*starts, *(tap.measured for tap in run.taps)] if goal is not None else []
+    poses = [*starts, *(tap.measured for tap in _seen(run))] if goal is not None else []
     numbers = range(1 - len(starts), len(poses) + 1 - len(starts))
     distance = [1000 * pose.distance_to(goal) for pose in poses if goal is not None]
     rotation = [abs(math.degrees(pose.rotation_to(goal))) for pose in poses if goal is not None]

@@ -45,6 +45,7 @@ class TapRow:
     """One tap of a run, in m, rad and m/s. Poses are in the frame ``table``, and displacements
     along its axes.
 
+    ``measured`` is NaN if the object was not seen after the tap, because the goal ended before.
     ``true_pose`` is None if unknown (on hardware). ``commanded_at``, ``fired_at`` and
     ``at_rest_at`` are in s since the start of the run. These times and ``measured_speed`` are NaN
     if unknown.
@@ -78,6 +79,11 @@ class TapRow:
     """Expected number of taps to the goal, including this tap; NaN if unknown."""
     expected_seconds: float = math.nan
     """Expected time to the goal from the command of this tap, in s; NaN if unknown."""
+
+    @property
+    def seen(self) -> bool:
+        """Whether the object was seen after the tap."""
+        return math.isfinite(self.measured.x)
 
 
 @dataclass(frozen=True, slots=True)

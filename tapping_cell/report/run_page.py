@@ -126,7 +126,8 @@ def _outline(run: Run) -> Array:
 def _table_plan(run: Run) -> Plan:
     """Create a plan of the table that contains all poses of the run."""
     half = 500 * np.asarray(run.table_size)
-    places = [pose for pose in (run.start, run.goal, *(t.measured for t in run.taps)) if pose]
+    measured = (tap.measured for tap in run.taps if tap.seen)
+    places = [pose for pose in (run.start, run.goal, *measured) if pose]
     low, high = -half - 12, half + 12
     if run.goal is not None and half.any():
         # A rejected goal may be outside the table, so the plan is extended to the goal, up to four
@@ -149,7 +150,8 @@ def overview(run: Run) -> str:
     if run.start is not None:
         plan.outline(outline, run.start, START)
     for tap in run.taps:
-        plan.outline(outline, tap.measured, REST)
+        if tap.seen:
+            plan.outline(outline, tap.measured, REST)
     if run.goal is not None:
         plan.outline(outline, run.goal, GOAL, dashed=True, fill=0.15)
     for tap in run.taps:
@@ -239,7 +241,7 @@ def _close_up(run: Run, tap: TapRow) -> str:
     if tap.predicted_covariance is not None:
         plan.ellipse(np.array(tap.predicted_covariance)[:2, :2], tap.predicted, PREDICTED)
     plan.outline(outline, tap.predicted, PREDICTED, dashed=True)
-    if math.isfinite(tap.measured.x):
+    if tap.seen:
         plan.outline(outline, tap.measured, REST)
         plan.arrow(middles[0], middles[-1], REST, 0.5)
     plan.strike(tap.strike, tap.number, back, 0.6)

@@ -26,7 +26,7 @@ def tap_sentence(tap: TapRow, goal: Pose | None) -> str:
     parts = [f"Tapper '{tap.tapper}'." if tap.tapper else "", _moved(tap)]
     if goal is not None:
         parts.append(_purpose(tap, goal))
-        if math.isfinite(tap.measured.x):
+        if tap.seen:
             parts.append(
                 f"Remaining error before the tap: {remaining_error(tap.before, goal)}; after it: "
                 f"{remaining_error(tap.measured, goal)}."
@@ -41,7 +41,7 @@ def tap_sentence(tap: TapRow, goal: Pose | None) -> str:
 
 def _moved(tap: TapRow) -> str:
     expected = f"Expected to move the object by {_move(tap.before, tap.predicted)}"
-    if not math.isfinite(tap.measured.x):
+    if not tap.seen:
         return f"{expected}; the object was not seen afterwards."
     return f"{expected}; measured {_move(tap.before, tap.measured)}{_agreement(tap)}."
 

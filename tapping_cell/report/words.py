@@ -47,6 +47,8 @@ def counted(number: int, thing: str) -> str:
 
 def motion(before: Pose, after: Pose, digits: int = 1) -> str:
     """Return the distance and the signed rotation between two poses, as text."""
+    if not math.isfinite(before.x + after.x):
+        return "not seen"
     turn = math.degrees(before.rotation_to(after))
     return f"{1000 * before.distance_to(after):.{digits}f} mm, {turn:+.{digits}f} deg"
 

@@ -3,6 +3,7 @@ goal can be read."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cache
 from typing import Any
 
@@ -16,7 +17,7 @@ from tapping_cell.logic.host import Activated, Configured
 from tapping_cell.logic.other_objects import OtherObjects
 from tapping_cell.logic.planner import PlannerLogic, State
 from tapping_cell.logic.planner_settings import PlannerSettings
-from tapping_cell.messages import ErrorCode, PoseStamped
+from tapping_cell.messages import Bool, ErrorCode, PoseStamped, TapperState
 
 GOAL = {
     "goal": [0.01, 0.02, 0.3],
@@ -43,10 +44,16 @@ def goals() -> GoalHandling:
     )
 
 
-def started(kept: Content | None, age: float = 1.0) -> tuple[PlannerLogic, list[Effect]]:
+def started(
+    kept: Content | None, age: float = 1.0, received: Sequence[tuple[str, Any]] = ()
+) -> tuple[PlannerLogic, list[Effect]]:
+    """Start a planner that receives the messages ``received`` before it is activated."""
     logic = PlannerLogic(PlannerSettings())
     event = Configured(goals().cell, goals(), kept_goal=kept, kept_goal_age=age)
-    made = [*logic.on_lifecycle(event, NOW), *logic.on_lifecycle(Activated(), NOW)]
+    made = [*logic.on_lifecycle(event, NOW)]
+    for topic, message in received:
+        made += logic.on_message(topic, message, NOW)
+    made += logic.on_lifecycle(Activated(), NOW)
     return logic, [*made, *logic.on_tick(NOW)]
 
 
@@ -57,6 +64,34 @@ def test_a_goal_is_resumed() -> None:
     assert logic.last.ask, "its taps are asked for as before"
     kept = [effect.content for effect in made if isinstance(effect, KeepGoal)]
     assert kept[0] is None and kept[-1] is not None, "kept again for the next crash"
+
+
+STOPPED = TapperState(
+    state=TapperState.STOPPED, error_code=ErrorCode.TAPPER_STOPPED, error_msg="stopped"
+)
+PRESSED = ("emergency_stop", Bool(data=True))
+
+
+@pytest.mark.parametrize(
+    ("received", "code"),
+    [
+        ([PRESSED], ErrorCode.EMERGENCY_STOP),
+        ([PRESSED, ("emergency_stop", Bool(data=False))], ErrorCode.EMERGENCY_STOP),
+        ([("tapper_state", STOPPED)], ErrorCode.TAPPER_STOPPED),
+        (
+            [("tapper_state", STOPPED), ("tapper_state", TapperState(state=TapperState.SAFE))],
+            ErrorCode.TAPPER_STOPPED,
+        ),
+    ],
+    ids=["held", "released", "stopped", "cleared"],
+)
+def test_a_goal_is_not_resumed_after_a_stop(received: list[tuple[str, Any]], code: int) -> None:
+    logic, made = started(GOAL, received=received)
+    assert logic.state is State.FAILED and logic.last.error_code == code
+    assert logic.last.goal.pose.position.x == 0.01, "clients recognise their goal"
+    assert [e for e in made if isinstance(e, KeepGoal)][-1] == KeepGoal(None)
+    reports = [e.message for e in made if isinstance(e, Publish) and e.topic == "goal_report"]
+    assert [report.error_code for report in reports] == [code]
 
 
 def test_an_old_goal_is_not_resumed() -> None:

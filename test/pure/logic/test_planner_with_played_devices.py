@@ -73,14 +73,16 @@ class Actors(VirtualNode):
         self.visible = self.at_rest = True
         self.camera_active = self.arm_active = self.tapper_active = True
         self.arm_arrives = self.arm_withdraws = True
+        self.lost_withdrawals = 0
         self.arm_state = ArmState.IDLE
         self.arm_error: tuple[int, str] = (0, "")
         self.taps_out_of_reach = 0
         self.tapper_answers: int | None = TapperState.FIRED
+        self.tapper_state = TapperState.SAFE
         self.tapper_error: tuple[int, str] = (0, "")
         self.commands: list[TapCommand] = []
         self.tap: TapCommand | None = None
-        self._outcome = TapperState.NONE
+        self.outcome = TapperState.NONE
         cell, maps = (cell, TableMaps(cell)) if cell is not None else shipped()
 
         def connect(_: Any, __: float, now: Now) -> GoalHandling:
@@ -113,7 +115,7 @@ class Actors(VirtualNode):
     def _on_command(self, command: TapCommand) -> None:
         self.commands.append(command)
         if command.request == TapCommand.TAP:
-            self.tap, self._outcome = command, TapperState.NONE
+            self.tap, self.outcome = command, TapperState.NONE
             if self.taps_out_of_reach:
                 self.taps_out_of_reach -= 1
                 self.arm_state = ArmState.WITHDRAWING
@@ -122,10 +124,12 @@ class Actors(VirtualNode):
             self.arm_error = (0, "")
             self.arm_state = ArmState.IN_POSITION if self.arm_arrives else ArmState.MOVING
             if self.arm_arrives and self.tapper_answers is not None:
-                self._outcome = self.tapper_answers
+                self.outcome = self.tapper_answers
                 fired = self.tapper_answers != TapperState.NOT_FIRED
                 if fired and self.moves_when_fired:
                     self.pose = from_message(command.predicted_pose)
+        elif command.request == TapCommand.WITHDRAW and self.lost_withdrawals:
+            self.lost_withdrawals -= 1
         elif command.request == TapCommand.WITHDRAW and self.arm_withdraws:
             self.arm_state = ArmState.IDLE
 
@@ -160,9 +164,9 @@ class Actors(VirtualNode):
             self.publish(
                 "tapper_state",
                 TapperState(
-                    state=TapperState.SAFE,
+                    state=self.tapper_state,
                     tap_id=tap_id,
-                    outcome=self._outcome,
+                    outcome=self.outcome,
                     interlock_closed=True,
                     error_code=code,
                     error_msg=sentence,
@@ -278,6 +282,143 @@ def test_a_faulted_arm_ends_the_goal_with_its_own_message(actors: Actors) -> Non
     actors.arm_state = ArmState.FAULT
     end = actors.end()
     assert (end.error_code, end.error_msg) == actors.arm_error
+
+
+STOPPED = (ErrorCode.TAPPER_STOPPED, "the tapper was stopped")
+
+
+@pytest.mark.parametrize(
+    "phase",
+    [
+        PlanState.WAITING_FOR_CELL,
+        PlanState.LOOKING,
+        PlanState.PLACING,
+        PlanState.FIRING,
+        PlanState.SETTLING,
+    ],
+)
+def test_a_stop_ends_the_goal_at_once_in_every_phase(actors: Actors, phase: int) -> None:
+    """Whoever clears the stop afterwards starts no motion."""
+    actors.visible = phase != PlanState.LOOKING
+    actors.camera_active = phase != PlanState.WAITING_FOR_CELL
+    actors.arm_arrives = phase != PlanState.PLACING
+    actors.arm_withdraws = phase != PlanState.SETTLING
+    if phase == PlanState.FIRING:
+        actors.tapper_answers = None
+    actors.run(0.6)
+    actors.send()
+    actors.wait(lambda: actors.plans[-1].state == phase, "the phase")
+    actors.tapper_state, actors.tapper_error = TapperState.STOPPED, STOPPED
+    actors.run(0.2)
+    end = actors.plans[-1]
+    assert (end.state, end.error_code, end.error_msg) == (PlanState.FAILED, *STOPPED)
+    commanded = len(actors.taps())
+    actors.tapper_state, actors.tapper_error = TapperState.SAFE, (0, "")
+    actors.visible = actors.camera_active = actors.arm_arrives = actors.arm_withdraws = True
+    actors.run(5.0)
+    assert len(actors.taps()) == commanded and actors.plans[-1].state == PlanState.FAILED
+
+
+def test_a_goal_that_is_sent_before_the_stop_is_known_ends_at_once(actors: Actors) -> None:
+    actors.tapper_active = False
+    actors.send()
+    actors.wait(lambda: actors.plans[-1].state == PlanState.WAITING_FOR_CELL, "the goal")
+    actors.tapper_state, actors.tapper_error = TapperState.STOPPED, STOPPED
+    actors.tapper_active = True
+    actors.run(0.2)
+    assert (actors.plans[-1].state, actors.plans[-1].error_code) == (PlanState.FAILED, STOPPED[0])
+
+
+@pytest.mark.parametrize("phase", [PlanState.PLACING, PlanState.SETTLING])
+def test_an_arm_that_loses_its_reference_ends_the_goal_at_once(actors: Actors, phase: int) -> None:
+    actors.arm_arrives = phase != PlanState.PLACING
+    actors.arm_withdraws = False
+    actors.send()
+    actors.wait(lambda: actors.plans[-1].state == phase, "the phase")
+    actors.arm_error = ErrorCode.ARM_NOT_HOMED, "the arm is not homed; home the arm"
+    actors.arm_state = ArmState.NOT_HOMED
+    actors.run(0.2)
+    end = actors.plans[-1]
+    assert (end.state, end.error_code, end.error_msg) == (PlanState.FAILED, *actors.arm_error)
+
+
+def test_a_goal_waits_for_an_arm_that_is_not_homed_yet(actors: Actors) -> None:
+    actors.arm_state = ArmState.NOT_HOMED
+    actors.run(0.6)
+    actors.send()
+    actors.run(1.0)
+    assert actors.plans[-1].state == PlanState.WAITING_FOR_CELL
+    actors.arm_state = ArmState.IDLE
+    assert actors.end().state == PlanState.REACHED
+
+
+@pytest.mark.parametrize(
+    ("phase", "reported", "outcomes"),
+    [
+        # In these phases the tapper may be about to fire, or its report may be under way.
+        (PlanState.PLACING, None, [TapperState.UNKNOWN]),
+        (PlanState.FIRING, None, [TapperState.UNKNOWN]),
+        (PlanState.SETTLING, TapperState.FIRED, [TapperState.FIRED]),
+        (PlanState.SETTLING, TapperState.UNKNOWN, [TapperState.UNKNOWN]),
+        (PlanState.SETTLING, TapperState.NOT_FIRED, []),
+    ],
+)
+def test_the_result_of_a_cancelled_goal_contains_a_tap_that_may_have_been_fired(
+    actors: Actors, phase: int, reported: int | None, outcomes: list[int]
+) -> None:
+    actors.arm_arrives = phase != PlanState.PLACING
+    actors.arm_withdraws = False
+    actors.tapper_answers = reported
+    reports: list[GoalReport] = []
+    actors.network.subscribe("test", "goal_report", lambda _, report: reports.append(report))
+    message = PoseStamped(pose=to_message(GOAL))
+    message.header.frame_id = "table"
+    results: list[PositionObject.Result] = []
+    asked = PositionObject.Goal(goal_pose=message)
+    actors.wait(lambda: actors.states, "the planner is up")
+    actors.run(0.3)
+    actors.process.request("position_object", asked, 1, results.append)
+    actors.wait(lambda: actors.plans[-1].state == phase, "the phase")
+    actors.process.request("cancel", None, 1, lambda _: None, waits=False)
+    actors.wait(lambda: results, "the result")
+    actors.run(0.1)
+    (result,) = results
+    assert result.error_code == ErrorCode.GOAL_CANCELED
+    assert [record.outcome for record in result.records] == outcomes
+    assert result.taps == actors.plans[-1].taps == len(outcomes)
+    assert [record.outcome for record in reports[0].records] == outcomes
+
+
+def test_a_shot_that_is_reported_after_its_tap_was_given_up_is_recorded(actors: Actors) -> None:
+    actors.arm_arrives = False
+    actors.send()
+    actors.wait(actors.taps, "a tap")
+    first = actors.taps()[0]
+    actors.pose, actors.at_rest = from_message(first.predicted_pose), False
+    actors.wait(lambda: actors.plans[-1].state == PlanState.LOOKING, "another observation")
+    actors.outcome = TapperState.FIRED
+    actors.run(0.1)
+    actors.arm_arrives = actors.at_rest = True
+    actors.wait(lambda: actors.plans[-1].last_tap.tap_id, "a record")
+    record = actors.plans[-1].last_tap
+    assert (record.tap_id, record.outcome) == (first.tap_id, TapperState.FIRED)
+
+
+def test_a_tap_that_the_tapper_did_not_fire_is_not_recorded_if_the_object_was_moved(
+    actors: Actors,
+) -> None:
+    actors.arm_arrives = False
+    actors.send()
+    actors.wait(actors.taps, "a tap")
+    actors.pose, actors.at_rest = Pose(-0.04, 0.03, 0.2), False
+    actors.wait(lambda: actors.plans[-1].state == PlanState.LOOKING, "another observation")
+    actors.outcome = TapperState.NOT_FIRED
+    actors.run(0.1)
+    actors.tap = None  # tapper_state of another tapper's node follows
+    actors.run(0.1)
+    actors.arm_arrives = actors.at_rest = True
+    end = actors.end()
+    assert end.state == PlanState.REACHED and end.taps == len(actors.taps()) - 1
 
 
 def test_after_an_unknown_outcome_the_object_is_observed_and_the_tap_not_repeated(
@@ -430,6 +571,19 @@ def test_a_tap_left_by_a_crashed_planner_is_withdrawn(actors: Actors) -> None:
     actors.wait(lambda: actors.commands, "a command")
     assert actors.commands[0].request == TapCommand.WITHDRAW
     assert actors.commands[0].tap_id == 77
+    assert actors.end().state == PlanState.REACHED
+
+
+def test_a_lost_withdrawal_is_repeated(actors: Actors) -> None:
+    actors.lost_withdrawals = 1
+    actors.send()
+    assert actors.end().state == PlanState.REACHED
+
+
+def test_a_lost_withdrawal_of_a_crashed_planners_tap_is_repeated(actors: Actors) -> None:
+    actors.tap = TapCommand(tap_id=77)
+    actors.arm_state, actors.lost_withdrawals = ArmState.IN_POSITION, 1
+    actors.send()
     assert actors.end().state == PlanState.REACHED
 
 

@@ -207,6 +207,18 @@ def test_a_run_without_start_or_goal_is_plotted(tmp_path: Path) -> None:
         assert "Goal refused" in Page(page(IllustratedRun(run, ()))).text
 
 
+@pytest.mark.parametrize("seen", [0, 1])
+def test_a_goal_that_ended_during_a_tap_is_plotted(seen: int, tmp_path: Path) -> None:
+    """The object was not seen after the last tap."""
+    made = MadeRun(STOPS[: seen + 2], state=9, code=111, sentence="canceled", truth=False)
+    run = read_illustrated_run(make(tmp_path / "run", made) / "bag").run
+    lost = replace(run.taps[-1], measured=Pose(math.nan, math.nan, math.nan), at_rest_at=math.nan)
+    run = replace(run, taps=(*run.taps[:-1], lost))
+    draw_cell(run, tmp_path / "cell.png")
+    text = page(IllustratedRun(run, ()))
+    assert "the object was not seen afterwards" in text and not re.search(r"\bnan\b", text)
+
+
 def test_the_bag_of_a_killed_recorder_gives_a_report_up_to_its_end(tmp_path: Path) -> None:
     folder = make(tmp_path / "run", MadeRun(STOPS))
     file = bag_file(folder / "bag")
