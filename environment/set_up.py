@@ -228,6 +228,8 @@ def build_environment(outside: Mapping[str, str], sourced: bool) -> dict[str, st
         kept["LD_LIBRARY_PATH"] = ":".join(map(str, libraries))
         kept["_ROS_WHEELS_BOOTSTRAP_COMPLETE"] = "1"
         kept["AMENT_PREFIX_PATH"] = kept["CMAKE_PREFIX_PATH"] = str(VENV)
+    # Without this, colcon tells make to wait while the load of the machine is above its cores.
+    kept["MAKEFLAGS"] = f"-j{len(os.sched_getaffinity(0))}"
     kept["PATH"] = f"{VENV / 'bin'}:{outside.get('PATH', os.defpath)}"
     kept["VIRTUAL_ENV"] = str(VENV)
     kept["PIP_USER"] = "0"
@@ -340,7 +342,7 @@ def make_venv(stamp: Path, wanted: str) -> None:
 
     install = [str(VENV / "bin" / "python"), "-m", "pip", "install", "--no-input", "--no-deps"]
     install += ["--progress-bar", "off", "--no-warn-script-location", "--retries", "2"]
-    # Python compiles a file when it is first imported. Most of these files are never imported.
+    # Most of these files are never imported. `compile_imported` compiles the others.
     install += ["--require-hashes", "--no-compile"]
     from_source = [line for line in lines if line.startswith(SOURCE_DISTRIBUTIONS)]
     wheels = [line for line in lines if line not in from_source]
@@ -402,6 +404,37 @@ def build(packages: list[str], message: str) -> None:
     )
 
 
+# Import every module of the package. A module whose import fails is reported where it is used.
+IMPORT_ALL = """
+import importlib, pkgutil, sys
+sys.dont_write_bytecode = False
+sys.path[:0] = sys.argv[1:]
+import tapping_cell
+for module in pkgutil.walk_packages(tapping_cell.__path__, "tapping_cell.", lambda name: None):
+    if not module.name.endswith("__main__"):
+        try:
+            importlib.import_module(module.name)
+        except ImportError:
+            pass
+"""
+
+
+def compile_imported() -> None:
+    """Compile the package and what it imports.
+
+    Otherwise, the nodes of the first graph compile the same files at the same time. In a shell with
+    PYTHONDONTWRITEBYTECODE, which is usual in containers, each node compiles them at every start,
+    which takes longer than the rest of its start.
+    """
+    report("compiling the Python modules")
+    messages = sorted(str(path) for path in INSTALL.glob("*_msgs/lib/python3.*/site-packages"))
+    run(
+        [str(VENV / "bin" / "python"), "-c", IMPORT_ALL, str(ROOT), *messages],
+        LOG / "compile.log",
+        "importing the package failed",
+    )
+
+
 def set_up() -> None:
     """Bring every stage up to date."""
     sourced = ros_sourced()
@@ -430,6 +463,7 @@ def set_up() -> None:
             make_venv(*stages[0])
         if not is_made(*stages[1]):
             build(["tapping_cell_msgs", "tapping_cell"], "building the messages and the package")
+            compile_imported()
             write_stamp(*stages[1])
             write_stamp(*stages[2])
         elif not is_made(*stages[2]):

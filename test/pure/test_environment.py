@@ -176,7 +176,8 @@ def test_the_build_does_not_see_other_environments():
     }
     seen = set_up.build_environment(outside, sourced=False)
     assert "other" not in " ".join(seen.values())
-    assert {"MAKEFLAGS", "PIP_TARGET", "PYTHONPATH", "PYTHONHOME"}.isdisjoint(seen)
+    assert seen["MAKEFLAGS"] == f"-j{len(os.sched_getaffinity(0))}"
+    assert {"PIP_TARGET", "PYTHONPATH", "PYTHONHOME"}.isdisjoint(seen)
     assert seen["PIP_USER"] == "0"
     assert seen["COLCON_DEFAULTS_FILE"] == os.devnull
     for kept in ("HOME", "HTTPS_PROXY", "PIP_INDEX_URL"):
