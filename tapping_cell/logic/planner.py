@@ -475,6 +475,7 @@ class PlannerLogic:
             self._end_tap(now)
             self._finish(S.CANCELED, ErrorCode.GOAL_REPLACED, "a newer goal replaced this one", now)
         self._task = task
+        self._resumed = None  # a goal that arrives before the resumption is newer
         self._view_cleared = False
         self._monitor.watch(task.object_id if isinstance(task, ArrangementTask) else "")
         self._keep_goal(task, now)

@@ -66,6 +66,20 @@ def test_a_goal_is_resumed() -> None:
     assert kept[0] is None and kept[-1] is not None, "kept again for the next crash"
 
 
+def test_a_goal_sent_before_the_resumption_replaces_it() -> None:
+    logic = PlannerLogic(PlannerSettings())
+    event = Configured(goals().cell, goals(), kept_goal=GOAL, kept_goal_age=1.0)
+    logic.on_lifecycle(event, NOW)
+    logic.on_lifecycle(Activated(), NOW)
+    sent = PoseStamped()
+    sent.header.frame_id = "table"
+    sent.pose.position.x = -0.03
+    logic.on_message("goal_pose", sent, NOW)
+    logic.on_tick(NOW)
+    assert logic.state is State.WAITING_FOR_CELL
+    assert logic.last.goal.pose.position.x == -0.03, "the newer goal wins"
+
+
 STOPPED = TapperState(
     state=TapperState.STOPPED, error_code=ErrorCode.TAPPER_STOPPED, error_msg="stopped"
 )
