@@ -32,7 +32,7 @@ def run_goals(goals: int, seed: int, jobs: int, as_json: bool, mix: Mix = ALL) -
     if unknown:
         print_error(f"no such faults: {', '.join(unknown)}; choose from: {', '.join(known)}")
         return 2
-    began = time.monotonic()
+    began, printed = time.monotonic(), 0
     with Progress(
         TextColumn("goals"),
         BarColumn(),
@@ -42,13 +42,16 @@ def run_goals(goals: int, seed: int, jobs: int, as_json: bool, mix: Mix = ALL) -
         disable=as_json or not sys.stderr.isatty(),
     ) as progress:
         bar = progress.add_task("goals", total=goals, violations=0)
-        summary = run_campaign(
-            goals,
-            seed,
-            jobs,
-            lambda s: progress.update(bar, completed=s.goals, violations=len(s.violations)),
-            mix=mix,
-        )
+
+        def show(summary: Summary) -> None:
+            nonlocal printed
+            for run, violation in summary.violations[printed:]:
+                # Print it at once: a long campaign goes on, and this run can be repeated meanwhile.
+                print(f"violation in run {run}: {violation.sentence}", file=sys.stderr, flush=True)
+            printed = len(summary.violations)
+            progress.update(bar, completed=summary.goals, violations=printed)
+
+        summary = run_campaign(goals, seed, jobs, show, mix=mix)
     wall = time.monotonic() - began
     if as_json:
         print(json.dumps(_as_json(summary, seed, wall), indent=2))

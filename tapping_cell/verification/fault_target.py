@@ -99,6 +99,9 @@ class FaultTarget(Protocol):
     def call_stop(self, node: str) -> None:
         """Call a node's service ``stop``."""
 
+    def reset(self, node: str) -> None:
+        """Clear the stop of a device's node and home the arm."""
+
 
 Made = tuple[Callable[[FaultTarget], None], str]
 """Function that injects one fault, and a description of this fault."""

@@ -710,6 +710,18 @@ def _service_stop(rng: np.random.Generator, trial: FaultTarget) -> Made:
     return lambda t: t.call_stop(node), f"service stop of {node}"
 
 
+def _stop_and_reset(rng: np.random.Generator, trial: FaultTarget) -> Made:
+    """Somebody stops a device, and soon afterwards somebody clears the stop without looking whether
+    a goal is under way."""
+    node, after = _pick(rng, (trial.arm_node, "tapper_trigger")), draw_duration(rng, 0.3, 6.0)
+
+    def strike(t: FaultTarget) -> None:
+        t.call_stop(node)
+        t.scheduler.after(after, partial(t.reset, node), in_main=True)
+
+    return strike, f"service stop of {node}, cleared after {after:.2f} s"
+
+
 def _interlock(rng: np.random.Generator, trial: FaultTarget) -> Made:
     lasting = draw_duration(rng, 0.05, 4.0)
 
@@ -776,6 +788,7 @@ MAKERS: dict[str, Maker] = {
     "object turned": _turn,
     "emergency stop": _emergency_stop,
     "stop service": _service_stop,
+    "stop and reset": _stop_and_reset,
     "guard": _interlock,
     "cancel": _cancel,
     "second client": _second_client,
@@ -805,6 +818,7 @@ AT_A_SHOT = (
     "camera",
     "emergency stop",
     "stop service",
+    "stop and reset",
     "guard",
     "clock step",
     "duplicates",

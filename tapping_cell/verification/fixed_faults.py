@@ -181,6 +181,7 @@ WITHOUT_ARM = (
     "object turned",
     "emergency stop",
     "stop service",
+    "stop and reset",
     "guard",
     "cancel",
     "second client",
@@ -204,7 +205,15 @@ FIXED_AT_A_SHOT = (
     *("line at a shot", "cable at a shot", "loss of power") * 2,
     *("object moved", "object creeps", "foreign withdrawal", "repeated command") * 2,
     *("slow topic", "kill", "restart", "deactivate", "cancel", "camera", "emergency stop"),
-    *("stop service", "guard", "clock step", "duplicates", "second client", "object turned"),
+    *(
+        "stop service",
+        "stop and reset",
+        "guard",
+        "clock step",
+        "duplicates",
+        "second client",
+        "object turned",
+    ),
 )
 FIXED_OF_A_SHOT = (
     moment_name("plan_state", PlanState.PLACING),

@@ -223,6 +223,7 @@ class FixedTrial(Trial):
             if not alive or tapper is None or self.scheduler.now < self._pressed_until:
                 continue
             if tapper.state == TapperState.SAFE and tapper.mounts_proven and not tapper.away:
+                self.checker.check_outcome()
                 if not self._object_lost():
                     return
                 self.physical.world.place(Pose(0.0, 0.0, 0.0))

@@ -167,6 +167,8 @@ class Process:
         self.disk = Disk()
         self.alive = False
         self.active = False
+        self.inactive_since = 0.0
+        """Time since which the node has been inactive; inf while it is active."""
         self.frozen_until = 0.0
         self.freeze_before_write: PlannedFreeze | None = None
         self.freeze_after_check: float = 0.0
@@ -224,6 +226,7 @@ class Process:
         self._life += 1
         life = self._life
         self.alive, self.active, self.frozen_until = True, False, 0.0
+        self.inactive_since = self._scheduler.now
         self._connected = self._configured = self._connecting = False
         self.logic, self._driver = self._program.make()
         self._jobs.clear()
@@ -285,6 +288,7 @@ class Process:
             if not self._configured or isinstance(event, Activated) == self.active:
                 return
             self.active = isinstance(event, Activated)
+            self.inactive_since = math.inf if self.active else self._scheduler.now
             self._carry_out(self.logic.on_lifecycle(event, self._clock.now()))
 
         self._when_awake(handle)

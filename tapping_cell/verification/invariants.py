@@ -10,14 +10,13 @@ from dataclasses import dataclass, field
 from tapping_cell.hardware.axis_units import joints_text
 from tapping_cell.hardware.scara import Joints
 from tapping_cell.logic.clock import to_nanoseconds, to_seconds
-from tapping_cell.logic.peer_clock import SKEW_LIMIT_S
 from tapping_cell.logic.poses import from_message
-from tapping_cell.logic.tap_commands import CLOCK_TOLERANCE_S
 from tapping_cell.messages import (
     ArmState,
     ErrorCode,
     HoldStill,
     PlanState,
+    PositionObject,
     TapCommand,
     TapperState,
     Time,
@@ -37,6 +36,11 @@ _OUTCOMES = {
     TapperState.UNKNOWN: "UNKNOWN",
 }
 
+# The limits are written here and not imported from ``logic``, so that a wrong limit in the product
+# is detected.
+SKEW_LIMIT_S, CLOCK_TOLERANCE_S = 0.5, 1.0
+"""Differences between two computers' clocks beyond which a state (first) or a command (second) has
+an invalid stamp, s."""
 WINDOW_S = 0.1
 """Maximum time from an event that forbids releases to a release that may still follow, s. The
 command FIRE may already have been sent at the event, so this maximum is the board's longest firing
@@ -98,6 +102,19 @@ STOP_MOTION_S = 1.5
 to the controller and the braking."""
 
 
+RESUMED_S = 21.0
+"""Maximum time from a crash of the planner until it resumes its goal, s: its own limit of 15 s, the
+start of its process and a freeze."""
+DEACTIVATED_S = 0.2
+"""Maximum time from when the arm's node has handled its deactivation until it begins a further part
+of a motion, s."""
+OUTCOME_S = 1.0
+"""Maximum time from the withdrawal of a tap until the tapper, if it is SAFE, reports the outcome,
+s."""
+ENDED = (PlanState.IDLE, PlanState.REACHED, PlanState.FAILED, PlanState.CANCELED)
+"""States of the planner without a goal."""
+
+
 @dataclass(frozen=True, slots=True)
 class Violation:
     """Violation of an invariant. ``time`` is in s from the start of the run."""
@@ -138,6 +155,8 @@ class InvariantChecker:
     arm_runs_since: Callable[[], float] = lambda: -math.inf
     """Return the time since which the arm's process has run. While it is ended or frozen, only the
     hard-wired emergency stop can stop the arm."""
+    inactive_since: Callable[[str], float] = lambda process: math.inf
+    """Return the time since which a process's node has been inactive, s; inf while it is active."""
     planner_gone_since: float = math.inf
     """Time at which the planner's process ended; inf while the process exists."""
     promises: dict[tuple[int, int], float] = field(default_factory=dict)
@@ -199,7 +218,6 @@ class InvariantChecker:
     _released: int = 0
     _charged_since: float | None = None
     _moving_since: float | None = None
-    _plan_state: int = PlanState.IDLE
     _plan_state_since: float = 0.0
     arm_frozen_until: float = -math.inf
     """Time until which the arm's process is or was frozen."""
@@ -209,6 +227,32 @@ class InvariantChecker:
     """State and tap id in the arm's last message."""
     _placed_until: float = -math.inf
     """Time at which the arm last ceased to move to a strike pose."""
+    _commanded_at: float = -math.inf
+    """Time at which the last tap was commanded."""
+    _clear: bool = False
+    """Whether the arm's last message says that the arm does not hide the object."""
+    _requests: list[tuple[Pose, bool]] = field(default_factory=list)
+    """Goal pose of every request that was sent to the planner, and whether the request is a
+    message, which the network may deliver twice."""
+    _begun: set[int] = field(default_factory=set)
+    """Indices of the requests whose goal the planner has begun."""
+    _goal: int | None = None
+    """Index of the request of the present goal; None if the planner has no goal."""
+    _taps: dict[int, list[int]] = field(default_factory=dict)
+    """Ids of the taps that the planner has commanded for each goal."""
+    _forged: set[int] = field(default_factory=set)
+    """Ids of the taps of which another node than the tapper has reported an outcome."""
+    _report: TapperState | None = None
+    """Last message of the tapper."""
+    _crashed: tuple[int, float] | None = None
+    """Goal that the planner had when its process was killed, and the time of the crash."""
+    _stops: set[int] = field(default_factory=set)
+    """Stamps (ns) of the states in which arm and tapper have reported that they are stopped."""
+    _told_to_stop: bool = False
+    """Whether the planner's process has received, during its present goal, that the emergency stop
+    is pressed or that arm or tapper is stopped."""
+    _waiting: tuple[int, float, float, float] = (PlanState.IDLE, 0.0, 0.0, 0.0)
+    """State in the planner's last message, and the goal (x, y, z) of that message."""
 
     def violate(self, name: str, sentence: str) -> None:
         """Record a violation of an invariant."""
@@ -219,18 +263,25 @@ class InvariantChecker:
         if isinstance(message, TapCommand):
             if message.request == TapCommand.TAP:
                 self.commands[message.tap_id] = message
+                self._commanded_at = self.scheduler.now
                 if node == "tap_planner":
                     self.planners.add(message.tap_id)
+                    self._check_goal_of(message.tap_id)
                     # Check after the current event: only then has the checker processed the
                     # observation on which the tap is based.
                     self.scheduler.after(0.0, lambda: self._check_basis(message.tap_id))
         elif isinstance(message, TapperState) and node == "tapper_trigger":
             self._on_tapper_state(message)
+        elif isinstance(message, TapperState) and message.outcome != TapperState.NONE:
+            self._forged.add(message.tap_id)
         elif isinstance(message, ArmState) and node == "scara_arm":
             if self._arm[0] == ArmState.MOVING:
                 self._placed_until = self.scheduler.now
             self._arm = message.state, message.tap_id
             self._check_reference(message)
+            self._check_view(message)
+            if message.state == ArmState.STOPPED:
+                self._stops.add(to_nanoseconds(message.header.stamp))
             if message.state == ArmState.IDLE or message.error_code == ErrorCode.NOT_ACTIVE:
                 self._asked_to_move = False
         elif isinstance(message, PlanState) and node == "tap_planner":
@@ -292,6 +343,13 @@ class InvariantChecker:
                 "arm silent",
                 f"shot {shot} was released {deaf:.2f} s after the last arm_state that the tapper"
                 f" received (limit {ARM_SILENCE_S + WINDOW_S:g} s)",
+            )
+        inactive = release.time - self.inactive_since("tapper_trigger")
+        if inactive > WINDOW_S:
+            self.violate(
+                "tapper inactive",
+                f"shot {shot} was released {inactive:.2f} s after the tapper's node had been"
+                " deactivated",
             )
         given_up = release.time - self.planner_gave_up
         if given_up > WINDOW_S:
@@ -523,6 +581,12 @@ class InvariantChecker:
                         f"the arm began to move {end - now:.3f} s before the end of its promise to"
                         f" stand still for tap {tap_id}",
                     )
+            inactive = now - self.inactive_since("scara_arm")
+            if inactive > DEACTIVATED_S:
+                self.violate(
+                    "moved while inactive",
+                    f"the arm began to move {inactive:.2f} s after its node had been deactivated",
+                )
             if not self.motion_allowed:
                 self.violate(
                     "moved by itself",
@@ -604,6 +668,20 @@ class InvariantChecker:
             )
             self.unhomed_since = math.inf
 
+    def _check_view(self, message: ArmState) -> None:
+        """Check that the arm does not hide the object when its node begins to report this."""
+        before, self._clear = self._clear, message.clear_of_camera
+        now, moved = self.scheduler.now, self.moved_by_hand
+        # The arm leaves the view of the object that was tapped, wherever a hand has moved it since.
+        elsewhere = moved is not None and moved[0] > self._commanded_at
+        if message.clear_of_camera and not before and not elsewhere:
+            if self.physical.moving(now):
+                self.violate("false view", "the arm is reported clear of the camera while it moves")
+            elif self.physical.view(now) is None:
+                self.violate(
+                    "false view", "the arm is reported clear of the camera but hides the object"
+                )
+
     def ask_to_move(self) -> None:
         """Allow the arm to move until it is idle again, because it has received a command."""
         self._asked_to_move = True
@@ -633,7 +711,109 @@ class InvariantChecker:
         if process == "tapper_trigger" and job == "fire":
             self.last_check = self.scheduler.now, answer
 
+    def on_goal_sent(self, goal: Pose, by_topic: bool) -> int:
+        """Process a goal that a client sends to the planner by a topic or by an action. Return the
+        index of the request."""
+        self._requests.append((goal, by_topic))
+        return len(self._requests) - 1
+
+    def on_planner_killed(self, crash: bool) -> None:
+        """Process the end of the planner's process. After a crash, the planner may resume its
+        goal."""
+        self.planner_gone_since = self.scheduler.now
+        goal, self._goal = self._goal, None
+        if not crash:
+            self._crashed = None
+        elif goal is not None:  # otherwise the crash of an earlier process may still be pending
+            self._crashed = goal, self.scheduler.now
+
+    def on_state_received_by_planner(self, message: ArmState | TapperState) -> None:
+        """Process a state of arm or tapper that the planner's process received."""
+        if self._goal is not None and to_nanoseconds(message.header.stamp) in self._stops:
+            self._told_to_stop = True
+            self._stops.clear()
+
+    def on_stop_received_by_planner(self) -> None:
+        """Process an emergency stop that the planner's process received."""
+        self._told_to_stop = self._goal is not None
+
+    def _begin_goal(self, message: PlanState) -> None:
+        """Check that somebody has requested the goal that the planner begins."""
+        pose = from_message(message.goal.pose)
+        found = [
+            index
+            for index, (goal, _) in enumerate(self._requests)
+            if goal.distance_to(pose) < ROUNDING_S and abs(goal.rotation_to(pose)) < ROUNDING_S
+        ]
+        self._goal = found[-1] if found else None
+        self._told_to_stop = False
+        self._stops.clear()
+        if self._goal is None:
+            self.violate("goal of nobody", f"the planner began the goal {pose}, which nobody sent")
+        elif self._goal in self._begun and not self._requests[self._goal][1]:
+            crashed = self._crashed
+            if crashed is None or crashed[0] != self._goal:
+                self.violate(
+                    "goal begun again", "the planner began a goal again that had already ended"
+                )
+            elif self.scheduler.now > crashed[1] + RESUMED_S:
+                self.violate(
+                    "old goal resumed",
+                    f"the planner resumed a goal {self.scheduler.now - crashed[1]:.1f} s after its"
+                    f" crash (limit {RESUMED_S:g} s)",
+                )
+        self._crashed = None
+        if self._goal is not None:
+            self._begun.add(self._goal)
+
+    def _check_goal_of(self, tap_id: int) -> None:
+        """Check that the planner has a goal, and that no stop has ended it, when it commands a
+        tap."""
+        if self._goal is None:
+            self.violate("tap without a goal", f"tap {tap_id} was commanded without a goal")
+            return
+        self._taps.setdefault(self._goal, []).append(tap_id)
+        if self._told_to_stop:
+            self.violate(
+                "goal outlives a stop",
+                f"tap {tap_id} was commanded for a goal that is older than the last stop that the"
+                " planner had received",
+            )
+
+    def check_result(
+        self, request: int, result: PositionObject.Result, tolerance: tuple[float, float]
+    ) -> None:
+        """Check the result of an action goal against the ground truth. ``tolerance``: m and rad."""
+        if result.error_code == ErrorCode.NONE:
+            self._check_claim("the result says", self._requests[request][0], tolerance)
+        commanded = self._taps.get(request, [])
+        told = set(commanded) - self._forged
+        fired = sum(release.shot in told for release in self.physical.releases)
+        if not fired <= result.taps <= len(commanded) or len(result.records) != result.taps:
+            self.violate(
+                "false count",
+                f"the result gives {result.taps} taps and {len(result.records)} records, but"
+                f" {fired} of {len(commanded)} commanded taps were fired",
+            )
+
+    def check_outcome(self) -> None:
+        """Check that the tapper, which is SAFE, has reported an outcome of its last tap if this tap
+        was withdrawn."""
+        report = self._report
+        if report is None or not report.tap_id or report.state != TapperState.SAFE:
+            return
+        ended = self.ended_taps.get(report.tap_id, math.inf)
+        if report.outcome == TapperState.NONE and self.scheduler.now > ended + OUTCOME_S:
+            self.violate(
+                "tap without an outcome",
+                f"tap {report.tap_id} was withdrawn {self.scheduler.now - ended:.1f} s ago, but the"
+                " tapper has not reported an outcome",
+            )
+
     def _on_tapper_state(self, message: TapperState) -> None:
+        self._report = message
+        if message.state == TapperState.STOPPED:
+            self._stops.add(to_nanoseconds(message.header.stamp))
         fired = any(release.shot == message.tap_id for release in self.physical.releases)
         if message.tap_id and message.outcome != TapperState.NONE:
             before = self.outcomes.get(message.tap_id, message.outcome)
@@ -658,8 +838,10 @@ class InvariantChecker:
                 )
 
     def _on_plan_state(self, message: PlanState) -> None:
-        before, self._plan_state = self._plan_state, message.state
-        if before != message.state:
+        goal = message.goal.pose.position
+        before, after = self._waiting, (message.state, goal.x, goal.y, goal.z)
+        self._waiting = after
+        if before != after:
             self._plan_state_since = self.scheduler.now
         waited = self.scheduler.now - self._plan_state_since
         if waited > self.deadlines.get(message.state, math.inf) + WAIT_SLACK_S:
@@ -669,18 +851,25 @@ class InvariantChecker:
                 f" {self.deadlines[message.state] + WAIT_SLACK_S:g} s)",
             )
             self._plan_state_since = self.scheduler.now
-        if message.state != PlanState.REACHED or before == PlanState.REACHED:
-            return  # this report is a repetition and was checked before
+        if message.state in ENDED:
+            self._goal = None
+        elif self._goal is None or before[1:] != after[1:]:
+            self._begin_goal(message)
+        if message.state == PlanState.REACHED and before[0] != PlanState.REACHED:
+            tolerance = message.position_tolerance, message.angle_tolerance
+            self._check_claim("the planner reports", from_message(message.goal.pose), tolerance)
+
+    def _check_claim(self, who: str, goal: Pose, tolerance: tuple[float, float]) -> None:
+        """Check that the object is truly at the goal, within these tolerances (m and rad)."""
         true = self.physical.object_pose(self.scheduler.now)
-        goal = from_message(message.goal.pose)
         off, turned = goal.distance_to(true), abs(goal.rotation_to(true))
-        position, angle = message.position_tolerance, message.angle_tolerance
+        position, angle = tolerance
         moved = self.moved_by_hand
         recently = moved is not None and self.scheduler.now - moved[0] < self.unseen_limit
         if (off > position or turned > angle) and not recently:
             self.violate(
                 "false claim",
-                f"the goal was reported as reached, but the object is {1e3 * off:.3f} mm and"
+                f"{who} that the goal is reached, but the object is {1e3 * off:.3f} mm and"
                 f" {math.degrees(turned):.3f} deg away from it (tolerance {1e3 * position:.3f} mm,"
                 f" {math.degrees(angle):.3f} deg)",
             )

@@ -19,7 +19,7 @@ from tapping_cell.hardware.arm import ArmDriver
 from tapping_cell.hardware.scara import Joints
 from tapping_cell.hardware.tapper import TapperDriver
 from tapping_cell.logic import arm_jobs
-from tapping_cell.logic.arm import CHARGED, ArmLogic, ArmOptions
+from tapping_cell.logic.arm import ArmLogic, ArmOptions
 from tapping_cell.logic.clock import NANOSECONDS, Now, to_stamp
 from tapping_cell.logic.goal_handling import GoalHandling
 from tapping_cell.logic.host import Logic
@@ -29,7 +29,7 @@ from tapping_cell.logic.planner_settings import PlannerSettings
 from tapping_cell.logic.poses import from_message, to_message
 from tapping_cell.logic.table_maps import TableMaps
 from tapping_cell.logic.tapper import TapperLogic, TapperOptions
-from tapping_cell.logic.tapper_peers import BLIND, TAPPING, PeerLimits
+from tapping_cell.logic.tapper_peers import PeerLimits
 from tapping_cell.messages import (
     ArmState,
     Bool,
@@ -114,6 +114,19 @@ SERVES = {
     "scara_arm": ("~/home", "~/stop", "~/clear_fault", "hold_still"),
     "tapper_trigger": ("~/stop", "~/clear_fault"),
 }
+# These groups are written here and not imported from ``logic``, so that a wrong group in the
+# product is detected.
+CHARGED = (TapperState.CHARGING, TapperState.CHARGED, TapperState.FIRING)
+"""States in which the striker is or may be charged."""
+TAPPING = (PlanState.PLACING, PlanState.FIRING)
+"""States in which the planner waits for a commanded tap."""
+BLIND = (
+    ErrorCode.CAMERA_SILENT,
+    ErrorCode.CAMERA_NOT_CALIBRATED,
+    ErrorCode.IMAGE_INVALID,
+    ErrorCode.STAMP_INVALID,
+)
+"""Error codes of an ``object_state`` that is not based on a usable image."""
 CAMERA_SIGMA = (5e-6, 5e-6, 5e-5)
 """Standard deviation of the pose in one frame: m, m, rad."""
 COVERED_S, CLEAR_VIEW_S = 4.0, 0.45
@@ -152,6 +165,10 @@ BAD_LINE_S = 15.0
 s."""
 HAND_STEP_S = 1 / 60
 """Time between the small steps in which a hand moves the object slowly, s."""
+CANCEL_S = 0.5
+"""Maximum time from when the planner's process handles a cancellation until the goal ends, s."""
+HOME_AFTER_S = 0.5
+"""Time from the request to clear the arm's stop to the request to home the arm, s."""
 RECOVERY_S = 90.0
 """Maximum time for a person to recover the cell before the next goal."""
 
@@ -259,6 +276,8 @@ class Trial:
         self.checker.unseen_limit = NOTICED_S + (COVERED_S if self.arm_covers else CLEAR_VIEW_S)
         self.checker.unseen_by_tapper = COVERED_S if self.arm_covers else CLEAR_VIEW_S
         self.checker.deadlines = {
+            PlanState.WAITING_FOR_CELL: self.settings.ready_deadline,
+            PlanState.LOOKING: self.settings.observe_deadline,
             PlanState.PLACING: self.settings.place_deadline,
             PlanState.FIRING: self.settings.fire_deadline,
             PlanState.SETTLING: self.settings.withdraw_deadline,
@@ -282,6 +301,7 @@ class Trial:
         if "scara_arm" in self.processes:
             arm = self.processes["scara_arm"]
             self.checker.arm_runs_since = lambda: arm.runs_since
+        self.checker.inactive_since = lambda name: self.processes[name].inactive_since
         for process in self.processes.values():
             process.on_handled = self._on_handled
             process.on_asked = self._on_asked
@@ -301,6 +321,8 @@ class Trial:
         """Time until which a fault, possibly of an earlier goal, may have an effect."""
         self.tapper_power_lost_at = -math.inf
         self._token = 0
+        self._goal_token = 0
+        """Token of the action goal that has not ended; 0 if there is none."""
         self._result: PositionObject.Result | None = None
         self._pressed_until = -math.inf
         self._handled_late: set[str] = set()
@@ -673,25 +695,42 @@ class Trial:
         message.header.frame_id = "table"
         process = self.processes["tap_planner"]
         if foreign:
+            self.checker.on_goal_sent(goal, by_topic=True)
             self.network.publish("somebody_else", "goal_pose", message)
             return
         if not process.alive:
             self._result = PositionObject.Result(error_code=-1, error_msg="no planner")
             return
         self._token += 1
+        token = self._goal_token = self._token
+        index = self.checker.on_goal_sent(goal, by_topic=False)
 
         def ended(result: Any) -> None:
+            if self._goal_token == token:
+                self._goal_token = 0
             self._note(f"RESULT {result.error_code} {result.error_msg}")
             self._result = result
+            self.checker.check_result(index, result, self.cell.tolerance)
 
         request = PositionObject.Goal(goal_pose=message)
-        process.request("position_object", request, self._token, ended)
+        process.request("position_object", request, token, ended)
 
     def cancel_goal(self) -> None:
         """Cancel the action goal."""
-        process = self.processes["tap_planner"]
-        if process.alive and self._result is None:
-            process.request("cancel", None, self._token, lambda _: None, waits=False)
+        process, token = self.processes["tap_planner"], self._goal_token
+        if not process.alive or not token:
+            return
+        process.request("cancel", None, token, lambda _: None, waits=False)
+        starts = process.starts
+
+        def check() -> None:
+            if (process.starts, self._goal_token) == (starts, token):
+                if self.scheduler.now < process.frozen_until + CANCEL_S:
+                    self.scheduler.at(process.frozen_until + CANCEL_S, check)
+                    return
+                self.checker.violate("cancel without effect", "the canceled goal has not ended")
+
+        self.scheduler.after(CANCEL_S, check)
 
     def freeze(self, node: str, duration: float) -> None:
         """Freeze a process."""
@@ -718,7 +757,7 @@ class Trial:
             return
         process.kill()
         self.report.by_node[f"kill {node}"] += 1
-        self._lost_process(node)
+        self._lost_process(node, crash=True)
         self.scheduler.after(away, lambda: self._start_again(node))
 
     def shut_down(self, node: str, away: float) -> None:
@@ -728,17 +767,19 @@ class Trial:
             return
         process.shut_down()
         self.report.by_node[f"restart {node}"] += 1
-        self._lost_process(node)
+        self._lost_process(node, crash=False)
         self.scheduler.after(away, lambda: self._start_again(node))
 
-    def _lost_process(self, node: str) -> None:
+    def _lost_process(self, node: str, crash: bool) -> None:
         self.note_kind(f"end of {node}")
         if node == "scara_arm":
             self.checker.motion_allowed = False
         if node == "tapper_trigger":
             self.checker.future_received.clear()
         if node == "tap_planner":
-            self.checker.planner_gone_since = self.scheduler.now
+            self.checker.on_planner_killed(crash)
+        if node == "tap_planner":
+            self._goal_token = 0
         if node == "tap_planner" and self._result is None:
             self._result = PositionObject.Result(error_code=-1, error_msg="its planner was lost")
 
@@ -886,6 +927,18 @@ class Trial:
                 self.checker.motion_allowed = False
         self.call_service(node, "~/stop")
 
+    def reset(self, node: str) -> None:
+        """Clear the stop of a device's node and home the arm, as a person does who does not look
+        whether a goal is under way."""
+        if math.isfinite(self.checker.held_since):
+            return
+        self.physical.press_clear_button()
+        self._clear_stop(node)
+        self.call_service(node, "~/clear_fault")
+        if node == "scara_arm":
+            self.checker.motion_allowed = True
+            self.scheduler.after(HOME_AFTER_S, partial(self.call_service, node, "~/home"))
+
     def call_service(self, node: str, service: str) -> None:
         """Call a node's service that has no arguments, as a person does."""
         process = self.processes[node]
@@ -908,6 +961,7 @@ class Trial:
             if tapper is None or self.scheduler.now < self._pressed_until:
                 continue
             if arm.state == arm_states.IDLE and tapper.state == tapper_states.SAFE:
+                self.checker.check_outcome()
                 if self._object_lost():
                     self.physical.world.place(Pose(0.0, 0.0, 0.0))
                     self.checker.moved_by_hand = (self.scheduler.now, Pose(0.0, 0.0, 0.0))
@@ -1029,10 +1083,14 @@ class Trial:
             if message.visible:
                 self.checker.seen_by_tapper.append((now, from_message(message.pose.pose)))
                 self.checker.motion_seen_by_tapper = not message.at_rest
+        if process == "tap_planner" and topic in ("arm_state", "tapper_state"):
+            self.checker.on_state_received_by_planner(message)
         if process == "tap_planner" and topic == "object_state" and message.visible:
             self.checker.seen_moving = not message.at_rest
         if process == "scara_arm" and topic == "tapper_state" and message.state in CHARGED:
             self.checker.charge_received = now
+        if process == "tap_planner" and topic == "emergency_stop" and message.data:
+            self.checker.on_stop_received_by_planner()
         if topic == "emergency_stop" and message.data:
             self.checker.stopped_at.setdefault(process, now)
             if process == "tapper_trigger":
