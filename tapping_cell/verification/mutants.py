@@ -499,6 +499,56 @@ MUTANTS: tuple[Mutant, ...] = (
         "if False:",
         kinds=("loss of power",),
     ),
+    Mutant(
+        "a reset continues the goal",
+        "tapping_cell.logic.planner",
+        "        fault = self._monitor.fault()\n"
+        "        if fault is not None:\n"
+        "            self._fail(*fault, now)\n"
+        "            return\n"
+        "        if now.steady > task.expires:\n",
+        "        if now.steady > task.expires:\n",
+        kinds=("stop and reset",),
+    ),
+    Mutant(
+        "ignores a cancellation",
+        "tapping_cell.logic.planner",
+        "if self._task is not None and self._task.token == token:",
+        "if False:",
+        kinds=("cancel",),
+    ),
+    Mutant(
+        "calls a failed goal a success",
+        "tapping_cell.logic.planner",
+        "            self._fail(*fault, now)\n"
+        "            return\n"
+        "        if now.steady > task.expires:\n",
+        "            self._fail(ErrorCode.NONE, fault[1], now)\n"
+        "            return\n"
+        "        if now.steady > task.expires:\n",
+        kinds=("stop service", "emergency stop"),
+    ),
+    Mutant(
+        "keeps the goal that has ended",
+        "tapping_cell.logic.planner",
+        "        self._park(now)\n        self._effects.append(KeepGoal(None))\n",
+        "        self._park(now)\n",
+        kinds=("kill",),
+    ),
+    Mutant(
+        "resumes a goal of any age",
+        "tapping_cell.logic.planner",
+        "if not 0 <= event.kept_goal_age <= self._settings.resume_within:",
+        "if False:",
+        kinds=("kill",),
+    ),
+    Mutant(
+        "leaves the last tap of a failed goal out of its result",
+        "tapping_cell.logic.task",
+        "if shot.outcome in (TapperState.FIRED, TapperState.UNKNOWN):",
+        "if False:",
+        kinds=("cancel", "emergency stop"),
+    ),
 )
 
 
