@@ -66,8 +66,8 @@ class TapMaker:
 
     def make(self, striker_speed: float, incidence: float, number: int) -> SingleTap.Result | None:
         """Make one tap at ``striker_speed`` (m/s) and ``incidence`` (rad). ``number``, the index of
-        the tap in the whole experiment, determines the direction of travel. Return None if no tap
-        was made; the caller should try again.
+        the tap in the whole experiment, determines the direction of travel. Return None if no
+        usable tap was made; the caller should try again.
 
         Raises:
             SeriesStopped: the experiment cannot continue.
@@ -75,15 +75,19 @@ class TapMaker:
         self._wait()
         wanted = travel_direction(self.client.object_pose(), number)
         result = self.client.tap(striker_speed, incidence, wanted, math.pi, self.check)
-        if result.record.tap_id == 0:
-            self._untapped(result.error_code, result.error_msg)
+        code = result.error_code
+        uncertain = code != ErrorCode.NONE and result.record.outcome == TapperState.UNKNOWN
+        # After a stop or a fault, the series must not go on when somebody resets the cell.
+        ended = code not in (ErrorCode.NONE, *NO_CLEARANCE, *PASSING)
+        if result.record.tap_id == 0 or uncertain or ended:
+            self._untapped(code, result.error_msg)
             return None
         self._failures = 0
         return result
 
     def _untapped(self, code: int, sentence: str) -> None:
-        """Handle a tap that did not start: bring the object back if required, or raise
-        SeriesStopped."""
+        """Handle a tap that cannot be used, usually because it was not fired: bring the object back
+        if required, or raise SeriesStopped."""
         self._failures += 1
         name = error_codes.name(code)
         if self._failures >= IN_A_ROW or code not in (*NO_CLEARANCE, *PASSING):

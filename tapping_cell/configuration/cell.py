@@ -332,7 +332,7 @@ class ArmSection:
         "maximum error of the quill at which the arm counts as in position",
         "m",
         1e-6,
-        0.01,
+        1e-3,
         default=1e-4,
     )
     settle_time: float = quantity(

@@ -45,6 +45,7 @@ from tapping_cell.logic.poses import from_message, to_message
 from tapping_cell.logic.task import MIN_EFFECT, Shot, SingleTapTask, Task
 from tapping_cell.logic.transitions import StateMachine, table
 from tapping_cell.messages import (
+    ArmState,
     ArrangeObjects,
     ConfirmTap,
     ErrorCode,
@@ -246,6 +247,10 @@ class PlannerLogic:
         self._parking_until = -math.inf
         self._reported_at = -math.inf
         self._resumed: Request | None = None
+        """Goal of a planner that crashed, until it is resumed."""
+        self._resume_until = -math.inf
+        self._is_resumed = False
+        """Whether the present goal is that of a planner that crashed."""
         self._stop_reported: CodedError | None = None
         """A stop or fault that was reported since the start of this planner; None if none was."""
         self._effects: list[Effect] = []
@@ -311,6 +316,7 @@ class PlannerLogic:
                 self.goals.other_objects.on_object(message, clock, now)
         elif topic == "arm_state":
             self._monitor.on_arm(message, now)
+            self._note_position()
         elif topic == "tapper_state":
             self._monitor.on_tapper(message, now)
             self._note_outcome(now)
@@ -476,6 +482,7 @@ class PlannerLogic:
             self._finish(S.CANCELED, ErrorCode.GOAL_REPLACED, "a newer goal replaced this one", now)
         self._task = task
         self._resumed = None  # a goal that arrives before the resumption is newer
+        self._is_resumed = False
         self._view_cleared = False
         self._monitor.watch(task.object_id if isinstance(task, ArrangementTask) else "")
         self._keep_goal(task, now)
@@ -529,16 +536,23 @@ class PlannerLogic:
             return
         message.header.frame_id = "table"
         self._resumed = Request(message, position, angle, taps, limit, ask=ask, object_id=name)
+        self._resume_until = now.steady + self._settings.resume_within - event.kept_goal_age
 
     def _resume(self, request: Request, now: Now) -> None:
         """Resume the goal of a planner that crashed. If a stop or a fault has been reported since
         the start of this planner, end the goal, as the planner that crashed would have done."""
+        if now.steady > self._resume_until:
+            return  # the node was activated late
         task = self.goals.accept(request, now)
         if isinstance(task, Refused):
             self._refuse(task, request, now)
             return
         self._log(LogLevel.WARNING, "resuming the goal of a planner that crashed")
         self._begin(task, now)
+        self._is_resumed = True
+        orphan = self._monitor.left_behind()
+        if orphan:
+            self._withdraw(orphan, now)
         if self._stop_reported is not None:
             self._fail(*self._stop_reported, now)
 
@@ -578,6 +592,11 @@ class PlannerLogic:
         if missing is None:
             self._observe_after = now.steady
             self._enter(Event.CELL_READY, S.LOOKING, now, self._settings.observe_deadline)
+            return
+        unhomed = self._monitor.unhomed()
+        if self._is_resumed and unhomed is not None:
+            # The arm may have been stopped while no planner ran. Homing must not continue the goal.
+            self._fail(*unhomed, now)
             return
         orphan = self._monitor.left_behind()
         if orphan:
@@ -619,7 +638,7 @@ class PlannerLogic:
                 self._fail(*unknown, now)
             return
         shot, self._shot = self._shot, None
-        if shot is not None and shot.outcome != TapperState.NOT_FIRED:
+        if shot is not None and self._may_have_been_fired(shot):
             self._take_in(task, shot, seen)
         task.arm = self._monitor.tip
         frames = 0 if self._late(now) else needed
@@ -632,6 +651,13 @@ class PlannerLogic:
         self._computation += 1
         self._effects.append(RunJob(Job(self._computation, "plan", lambda _: computation())))
         self._enter(Event.OBSERVED, S.PLANNING, now, self._deadline - now.steady)
+
+    def _may_have_been_fired(self, shot: Shot) -> bool:
+        """Return whether a tap of the past was or may have been fired. If the tapper has lost the
+        outcome, for example by a restart, the tap was not fired unless the arm was in position."""
+        if shot.outcome == TapperState.UNKNOWN:
+            return shot.in_position or not self._has_arm
+        return shot.outcome != TapperState.NOT_FIRED
 
     def _take_in(self, task: Task, shot: Shot, seen: ObjectState) -> None:
         """Record and learn from a tap that was fired or may have been fired."""
@@ -920,6 +946,12 @@ class PlannerLogic:
             task.not_fired = task.late = 0
         self._enter(Event.OUTCOME_REPORTED, S.SETTLING, now, self._settings.withdraw_deadline)
 
+    def _note_position(self) -> None:
+        """Store that the arm was in position for the last tap."""
+        arm, shot = self._monitor.arm, self._shot
+        if shot is not None and arm is not None and arm.tap_id == shot.tap_id:
+            shot.in_position = shot.in_position or arm.state == ArmState.IN_POSITION
+
     def _note_outcome(self, now: Now) -> None:
         """Store the outcome that the tapper reports of the last tap, possibly after the planner has
         given up the tap."""
@@ -928,7 +960,8 @@ class PlannerLogic:
         if shot is None or tapper is None or tapper.outcome == TapperState.NONE:
             return
         shot.outcome = tapper.outcome
-        shot.measured_speed = tapper.measured_speed
+        if math.isfinite(tapper.measured_speed):
+            shot.measured_speed = tapper.measured_speed
         if shot.fired_at is None:
             shot.fired_at = now.ros
 

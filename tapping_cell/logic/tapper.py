@@ -817,7 +817,7 @@ class TapperLogic(DeviceLogic[State, Event]):
     def _begin_clear(self, now: Now) -> None:
         if self.state is not S.CLEARING:
             self._machine.move(Event.CLEAR, S.CLEARING)
-            self._run("clear", tapper_jobs.clear)
+            self._run("clear", partial(tapper_jobs.clear, is_stopped=lambda now: self.stopped))
 
     def _time_passed(self, now: Now) -> None:
         self._watch_enabling(now)

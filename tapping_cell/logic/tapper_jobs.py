@@ -64,14 +64,15 @@ def read(context: JobContext) -> Status:
     return _make_status(driver, driver.status())
 
 
-def clear(context: JobContext) -> Status:
+def clear(context: JobContext, is_stopped: Callable[[Now], bool]) -> Status:
     """Clear a stop or a fault; after a stop, the board requires a person at the cell.
 
-    Raises HardwareFault STOPPED if a new stop occurred while this job was queued; the stop then
-    remains latched in the driver.
+    ``is_stopped``: query whether a stop is latched. Its answer waits until the host has carried out
+    all effects of a stop. Raises HardwareFault STOPPED if a new stop occurred while this job was
+    queued; the stop then remains latched in the driver.
     """
     driver: TapperDevice = context.driver
-    if context.abandoned():
+    if context.ask(is_stopped):
         raise HardwareFault(
             FaultReason.STOPPED,
             "a new stop occurred before the last one was cleared; make the cell safe, then clear"

@@ -125,6 +125,9 @@ class TapperPeers:
         self._object = ""
         self._height = 0.0
         self._seen: dict[str, tuple[ObjectState, float]] = {}
+        self._received: dict[str, ObjectState] = {}
+        """State of each object in the last message on ``object_state``, or a newer one;
+        ``_seen``: newest state by its stamp, and its time."""
         self._mounts: Mounts | None = None
 
     def use_mounts(self, mounts: Mounts) -> None:
@@ -159,8 +162,12 @@ class TapperPeers:
     def on_object_state(self, message: ObjectState, now: Now) -> None:
         """Process ``object_state``."""
         if message.error_code not in BLIND:
-            seen_at = self._see(message, {"", message.object_id}, now)
+            names = {"", message.object_id}
+            seen_at = self._see(message, names, now)
             self._picture_at = max(seen_at, self._picture_at or -math.inf)
+            if message.visible and message.error_code == ErrorCode.NONE:
+                # The message may be newer than its stamp says: the camera's clock may be set back.
+                self._received.update(dict.fromkeys(names, message))
 
     def on_object_states(self, message: ObjectStates, now: Now) -> None:
         """Process ``object_states``; the age of each state is determined from its own stamp."""
@@ -177,6 +184,7 @@ class TapperPeers:
             for name in names:
                 if name not in self._seen or seen_at >= self._seen[name][1]:
                     self._seen[name] = state, seen_at
+                    self._received[name] = state
         return seen_at
 
     def given_up(self) -> CodedError | None:
@@ -347,16 +355,18 @@ class TapperPeers:
                 ErrorCode.OBJECT_NOT_AT_REST,
                 "the object moves; a fixed tapper fires only at an object at rest",
             )
-        pose = from_message(seen.pose.pose)
-        moved, turned = planned.distance_to(pose), abs(planned.rotation_to(pose))
-        if moved <= limits.moved and turned <= limits.turned:
-            return None
-        return (
-            ErrorCode.OBJECT_MOVED,
-            f"the object was moved: it is {1000 * moved:.1f} mm and {math.degrees(turned):.1f} deg"
-            f" away from the pose for which the tap was planned (limits"
-            f" {1000 * limits.moved:.1f} mm and {math.degrees(limits.turned):.1f} deg)",
-        )
+        for state in (seen, self._received[self._object]):
+            pose = from_message(state.pose.pose)
+            moved, turned = planned.distance_to(pose), abs(planned.rotation_to(pose))
+            if moved <= limits.moved and turned <= limits.turned:
+                continue
+            return (
+                ErrorCode.OBJECT_MOVED,
+                f"the object was moved: it is {1000 * moved:.1f} mm and"
+                f" {math.degrees(turned):.1f} deg away from the pose for which the tap was planned"
+                f" (limits {1000 * limits.moved:.1f} mm and {math.degrees(limits.turned):.1f} deg)",
+            )
+        return None
 
 
 def _above(arm: ArmState, strike: Pose) -> bool:

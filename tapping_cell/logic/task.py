@@ -65,6 +65,8 @@ class Shot:
     fired_at: int | None = None
     """Time at which the tapper's report arrived, ROS time in ns."""
     outcome: int = TapperState.NONE
+    in_position: bool = False
+    """Whether the arm has reported that it is in position for this tap."""
     measured_speed: float = math.nan
     purpose: str = ""
     """Why this object is tapped now; empty for the only object with a goal."""

@@ -39,9 +39,10 @@ FRICTION = 1.7
 
 @dataclass
 class ScriptedClient:
-    """A client whose taps end as scripted: "ok", "miss", "lost", or an error code without a tap."""
+    """A client whose taps end as scripted: "ok", "miss", "lost", an error code without a tap, or an
+    error code with a tap of unknown outcome."""
 
-    answers: list[str | int]
+    answers: list[str | int | tuple[int, str]]
     pose: Pose = field(default_factory=lambda: Pose(0.0, 0.0, 0.0))
     goal_code: int = 0
     goals: list[Pose] = field(default_factory=list)
@@ -60,6 +61,9 @@ class ScriptedClient:
         answer = self.answers.pop(0)
         if isinstance(answer, int):
             return SingleTap.Result(error_code=answer, error_msg="so it was told")
+        if isinstance(answer, tuple):
+            record = TapRecord(tap_id=1, outcome=TapperState.UNKNOWN)
+            return SingleTap.Result(error_code=answer[0], error_msg=answer[1], record=record)
         self.directions.append(direction)
         travel = {"ok": TRAVEL, "miss": 0.0001, "lost": TRAVEL}[answer]
         record = TapRecord(tap_id=1, outcome=TapperState.FIRED, striker_speed=speed, dx=TRAVEL)
@@ -181,6 +185,19 @@ def test_a_fault_stops_the_series_at_once(tmp_path: Path) -> None:
         list(series(client, tmp_path).run())
     assert client.answers == ["ok"]
     assert len(read_trials(tmp_path).trials) == 1
+
+
+def test_a_stop_during_a_tap_ends_the_series_even_if_the_cell_is_reset(tmp_path: Path) -> None:
+    client = ScriptedClient(["ok", (int(ErrorCode.EMERGENCY_STOP), "emergency stop"), "ok"])
+    with pytest.raises(SeriesStopped, match="EMERGENCY_STOP"):
+        list(series(client, tmp_path).run())
+    assert client.answers == ["ok"]
+    assert len(read_trials(tmp_path).trials) == 1, "a tap of unknown outcome is no trial"
+
+
+def test_a_tap_of_unknown_outcome_that_was_replaced_is_repeated(tmp_path: Path) -> None:
+    client = ScriptedClient([(int(ErrorCode.GOAL_REPLACED), "replaced"), "ok", "ok", "ok"])
+    assert len(list(series(client, tmp_path).run())) == 3
 
 
 def test_a_stopped_series_is_resumed_where_it_ended(tmp_path: Path) -> None:

@@ -236,6 +236,14 @@ def test_a_late_message_does_not_hide_that_the_object_was_moved(taken: float, am
     assert reason is not None and reason[0] == ErrorCode.OBJECT_MOVED
 
 
+def test_an_object_that_is_moved_after_the_cameras_clock_was_set_back_is_not_struck() -> None:
+    peers, here = watching("disk"), Pose(0.0, 0.0, 0.0)
+    see(peers, 1.05, 0.0, 1.05, False)
+    see(peers, 0.78, 0.01, 1.08, False)  # the clock was set back by 0.3 s just before this image
+    reason = peers.check_firing(7, here, here, at(1.09))
+    assert reason is not None and reason[0] == ErrorCode.OBJECT_MOVED
+
+
 @pytest.mark.parametrize("among", [True, False])
 def test_a_message_from_the_future_blocks_later_messages_only_briefly(among: bool) -> None:
     peers, here = watching("disk"), Pose(0.0, 0.0, 0.0)

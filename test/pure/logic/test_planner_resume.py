@@ -17,7 +17,7 @@ from tapping_cell.logic.host import Activated, Configured
 from tapping_cell.logic.other_objects import OtherObjects
 from tapping_cell.logic.planner import PlannerLogic, State
 from tapping_cell.logic.planner_settings import PlannerSettings
-from tapping_cell.messages import Bool, ErrorCode, PoseStamped, TapperState
+from tapping_cell.messages import ArmState, Bool, ErrorCode, PoseStamped, TapperState
 
 GOAL = {
     "goal": [0.01, 0.02, 0.3],
@@ -106,6 +106,24 @@ def test_a_goal_is_not_resumed_after_a_stop(received: list[tuple[str, Any]], cod
     assert [e for e in made if isinstance(e, KeepGoal)][-1] == KeepGoal(None)
     reports = [e.message for e in made if isinstance(e, Publish) and e.topic == "goal_report"]
     assert [report.error_code for report in reports] == [code]
+
+
+def test_homing_does_not_continue_the_goal_of_a_crashed_planner() -> None:
+    unhomed = ArmState(
+        state=ArmState.NOT_HOMED, error_code=ErrorCode.ARM_NOT_HOMED, error_msg="home the arm"
+    )
+    logic, _ = started(GOAL, received=[("arm_state", unhomed)])
+    assert logic.state is State.FAILED and logic.last.error_code == ErrorCode.ARM_NOT_HOMED
+
+
+def test_a_goal_is_not_resumed_if_the_planner_is_activated_late() -> None:
+    logic = PlannerLogic(PlannerSettings())
+    event = Configured(goals().cell, goals(), kept_goal=GOAL, kept_goal_age=1.0)
+    logic.on_lifecycle(event, NOW)
+    later = Now(NOW.steady + 15.0, NOW.ros + 15 * 10**9)
+    logic.on_lifecycle(Activated(), later)
+    logic.on_tick(later)
+    assert logic.state is State.IDLE
 
 
 def test_an_old_goal_is_not_resumed() -> None:

@@ -64,11 +64,12 @@ def test_no_confirmation_ends_a_stop_that_is_still_held() -> None:
 
 
 def test_a_clear_that_was_overtaken_by_a_new_stop_leaves_the_stop_latched() -> None:
-    """The job was queued behind a slow one, and the new stop has abandoned it meanwhile."""
+    """The job was queued behind a slow one, and the new stop arrived meanwhile."""
+    now = Now(10.0, 1_800_000_000_000_000_000)
     cleared: list[bool] = []
     driver = SimpleNamespace(clear=lambda: cleared.append(True))
-    context = cast(JobContext, SimpleNamespace(driver=driver, abandoned=lambda: True))
+    context = cast(JobContext, SimpleNamespace(driver=driver, ask=lambda query: query(now)))
     with pytest.raises(HardwareFault) as met:
-        tapper_jobs.clear(context)
+        tapper_jobs.clear(context, is_stopped=lambda _: True)
     assert met.value.reason is FaultReason.STOPPED
     assert not cleared
