@@ -745,12 +745,13 @@ class InvariantChecker:
             for index, (goal, _) in enumerate(self._requests)
             if goal.distance_to(pose) < ROUNDING_S and abs(goal.rotation_to(pose)) < ROUNDING_S
         ]
-        self._goal = found[-1] if found else None
+        if not found:
+            self.violate("goal of nobody", f"the planner began the goal {pose}, which nobody sent")
+            found = [self.on_goal_sent(pose, by_topic=True)]
+        self._goal = found[-1]
         self._told_to_stop = False
         self._stops.clear()
-        if self._goal is None:
-            self.violate("goal of nobody", f"the planner began the goal {pose}, which nobody sent")
-        elif self._goal in self._begun and not self._requests[self._goal][1]:
+        if self._goal in self._begun and not self._requests[self._goal][1]:
             crashed = self._crashed
             if crashed is None or crashed[0] != self._goal:
                 self.violate(
@@ -763,8 +764,7 @@ class InvariantChecker:
                     f" crash (limit {RESUMED_S:g} s)",
                 )
         self._crashed = None
-        if self._goal is not None:
-            self._begun.add(self._goal)
+        self._begun.add(self._goal)
 
     def _check_goal_of(self, tap_id: int) -> None:
         """Check that the planner has a goal, and that no stop has ended it, when it commands a

@@ -54,7 +54,7 @@ def test_no_shot_is_fired_after_the_arms_promise_to_stand_still_ends(tmp_path: P
         commands = node.create_publisher(TapCommand, "tap_command", COMMAND)
         arm = node.create_publisher(ArmState, "arm_state", LATCHED)
         freeze_at: list[float] = []
-        process = subprocess.Popen(command)
+        process = subprocess.Popen(command, env={**os.environ, "HOME": str(tmp_path)})
 
         def hold(request: HoldStill.Request, response: HoldStill.Response) -> HoldStill.Response:
             promised[request.tap_id] = time.monotonic() + request.duration
@@ -131,7 +131,8 @@ def test_a_frozen_arm_does_not_move_before_the_striker_has_landed(tmp_path: Path
         processes = {
             name: subprocess.Popen(
                 [sys.executable, "-m", MODULES[name], "--ros-args"]
-                + [word for value in values for word in ("-p", value)]
+                + [word for value in values for word in ("-p", value)],
+                env={**os.environ, "HOME": str(tmp_path)},  # not the stops of other tests
             )
             for name, values in options.items()
         }

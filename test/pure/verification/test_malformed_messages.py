@@ -114,7 +114,9 @@ def test_no_number_in_a_message_disturbs_the_cell(names: tuple[str, ...]) -> Non
     # A forged stamp affects the estimates of the clock differences for 10 s.
     trial.scheduler.run(trial.scheduler.now + 12.0)
     results: list[Any] = []
-    goal = PositionObject.Goal(goal_pose=PoseStamped(pose=to_message(Pose(-0.02, 0.02, 0.0))))
+    pose = Pose(-0.02, 0.02, 0.0)
+    trial.checker.on_goal_sent(pose, by_topic=False)
+    goal = PositionObject.Goal(goal_pose=PoseStamped(pose=to_message(pose)))
     goal.goal_pose.header.frame_id = "table"
     trial.recover()
     trial.processes["tap_planner"].request("position_object", goal, "last", results.append)
