@@ -641,7 +641,8 @@ class InvariantChecker:
     def lose_reference(self) -> None:
         """Record that the arm's board has lost its position. The position remains unknown until the
         arm is homed."""
-        self.motion_allowed = False
+        if self._arm[0] != ArmState.HOMING:  # homing that a person has requested may still go on
+            self.motion_allowed = False
         self.unhomed_since = min(self.unhomed_since, self.scheduler.now)
 
     def _check_basis(self, tap_id: int) -> None:

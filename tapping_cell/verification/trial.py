@@ -325,10 +325,9 @@ class Trial:
         """Token of the action goal that has not ended; 0 if there is none."""
         self._result: PositionObject.Result | None = None
         self._pressed_until = -math.inf
-        self._handled_late: set[str] = set()
-        """Frozen processes that were asked to clear while the emergency stop was held. These
-        processes handle the request when they continue; the request is valid if the stop has been
-        released by then."""
+        self._asked_to_clear: set[str] = set()
+        """Nodes that were asked to clear since their last stop. Such a request may be handled late
+        and is valid if the emergency stop has been released by then."""
         self._waiting_faults: list[Fault] = []
         self._taken: dict[int, Time] = {}
         """Stamp of the last TAP command with each tap id that the tapper's process has handled."""
@@ -864,8 +863,6 @@ class Trial:
         have no effect."""
         for node in self.devices:
             self.call_service(node, "~/clear_fault")
-            if self.scheduler.now < self.processes[node].frozen_until:
-                self._handled_late.add(node)
         self.scheduler.after(1.0, self._home_too_early)
 
     def _home_too_early(self) -> None:
@@ -923,6 +920,7 @@ class Trial:
             self.note_kind(f"stop of {node}")
         if process.alive and self.scheduler.now >= process.frozen_until:
             self.checker.stopped_at.setdefault(node, self.scheduler.now)
+            self._asked_to_clear.discard(node)
             if node == "scara_arm":
                 self.checker.motion_allowed = False
         self.call_service(node, "~/stop")
@@ -944,6 +942,8 @@ class Trial:
         process = self.processes[node]
         if service == "~/home":
             self.checker.ask_to_move()
+        if service == "~/clear_fault":
+            self._asked_to_clear.add(node)
         if process.alive and process.logic is not None:
             self._token += 1
             process.request(service, Trigger.Request(), ("person", self._token), lambda _: None)
@@ -1011,8 +1011,8 @@ class Trial:
                 self._last_reports[node, topic] = text
                 self._note(text)
         self.checker.on_publish(node, topic, message)
-        if topic == "~/stop_state" and not message.stopped and node in self._handled_late:
-            self._handled_late.discard(node)
+        if topic == "~/stop_state" and not message.stopped and node in self._asked_to_clear:
+            self._asked_to_clear.discard(node)
             if math.isinf(self.checker.held_since):
                 self._clear_stop(node)
         if topic == "tapper_state" and node == "tapper_trigger":
@@ -1093,6 +1093,7 @@ class Trial:
             self.checker.on_stop_received_by_planner()
         if topic == "emergency_stop" and message.data:
             self.checker.stopped_at.setdefault(process, now)
+            self._asked_to_clear.discard(process)
             if process == "tapper_trigger":
                 self._expect_stop_on_wire()
             if process == "scara_arm":
