@@ -262,8 +262,9 @@ class InvariantChecker:
         """Process a message that a node publishes."""
         if isinstance(message, TapCommand):
             if message.request == TapCommand.TAP:
+                if message.tap_id not in self.commands:  # not a repetition
+                    self._commanded_at = self.scheduler.now
                 self.commands[message.tap_id] = message
-                self._commanded_at = self.scheduler.now
                 if node == "tap_planner":
                     self.planners.add(message.tap_id)
                     self._check_goal_of(message.tap_id)
