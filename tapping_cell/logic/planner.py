@@ -550,9 +550,7 @@ class PlannerLogic:
         self._log(LogLevel.WARNING, "resuming the goal of a planner that crashed")
         self._begin(task, now)
         self._is_resumed = True
-        orphan = self._monitor.left_behind()
-        if orphan:
-            self._withdraw(orphan, now)
+        self._withdraw_orphan(now)
         if self._stop_reported is not None:
             self._fail(*self._stop_reported, now)
 
@@ -598,9 +596,7 @@ class PlannerLogic:
             # The arm may have been stopped while no planner ran. Homing must not continue the goal.
             self._fail(*unhomed, now)
             return
-        orphan = self._monitor.left_behind()
-        if orphan:
-            self._withdraw(orphan, now)
+        self._withdraw_orphan(now)
         if self._late(now):
             code, sentence = missing
             self._fail(code, f"the cell was not ready: {sentence}", now)
@@ -1031,6 +1027,12 @@ class PlannerLogic:
             return
         self._withdrawn_tap_id, self._withdrawn_at = tap_id, now.steady
         self._publish_withdrawal(tap_id, now)
+
+    def _withdraw_orphan(self, now: Now) -> None:
+        """Withdraw a tap of a previous planner that the arm still serves, if any."""
+        orphan = self._monitor.left_behind()
+        if orphan:
+            self._withdraw(orphan, now)
 
     def _repeat_withdrawal(self, now: Now) -> None:
         """Publish the last withdrawal again if it was lost: the arm still serves the tap."""

@@ -777,7 +777,6 @@ class Trial:
             self.checker.future_received.clear()
         if node == "tap_planner":
             self.checker.on_planner_killed(crash)
-        if node == "tap_planner":
             self._goal_token = 0
         if node == "tap_planner" and self._result is None:
             self._result = PositionObject.Result(error_code=-1, error_msg="its planner was lost")

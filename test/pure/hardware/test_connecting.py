@@ -222,6 +222,22 @@ def test_a_board_of_another_kind_is_refused_in_time_without_motion(driver: str, 
         assert device.fires == [] and device.state == "UNHOMED"
 
 
+def in_a_long_move(
+    make: Callable[[ControllerNeeds], ArmDriver],
+) -> tuple[ArmDriver, VirtualTransport, ArmEmulator]:
+    """Return a homed driver, its line, and its board 0.5 s after the begin of a move of 10 s."""
+    driver = make(MILD)
+    driver.connect()
+    driver.home(HomingStrategy.FIRMWARE)
+    line = driver._transport
+    assert isinstance(line, VirtualTransport)
+    board = line.layer.emulator
+    assert isinstance(board, ArmEmulator)
+    line.write(b"G90\nG1 X20 F120\n")  # 10 s at 2 degrees a second
+    line.sleep(0.5)
+    return driver, line, board
+
+
 @pytest.mark.parametrize("latched", [True, False])
 @pytest.mark.parametrize("make", [grbl, marlin])
 def test_a_stop_before_the_port_is_open_ends_the_move_of_an_earlier_process(
@@ -229,15 +245,7 @@ def test_a_stop_before_the_port_is_open_ends_the_move_of_an_earlier_process(
 ) -> None:
     """If a node exits during a move, the controller continues the move. If a stop is requested
     before the next node has opened the port, the stop is sent as soon as the port is open."""
-    earlier = make(MILD)
-    earlier.connect()
-    earlier.home(HomingStrategy.FIRMWARE)
-    line = earlier._transport
-    assert isinstance(line, VirtualTransport)
-    board = line.layer.emulator
-    assert isinstance(board, ArmEmulator)
-    line.write(b"G90\nG1 X20 F120\n")  # 10 s at 2 degrees a second
-    line.sleep(0.5)
+    earlier, line, board = in_a_long_move(make)
     line.close()
     assert board.moving(line.now())
     driver = ArmDriver(line, type(earlier._dialect)(line), ScaraGeometry())
@@ -258,15 +266,7 @@ def test_a_stop_before_the_port_is_open_ends_the_move_of_an_earlier_process(
 def test_a_stop_while_the_port_is_away_is_sent_before_the_stop_is_cleared(
     make: Callable[[ControllerNeeds], ArmDriver],
 ) -> None:
-    driver = make(MILD)
-    driver.connect()
-    driver.home(HomingStrategy.FIRMWARE)
-    line = driver._transport
-    assert isinstance(line, VirtualTransport)
-    board = line.layer.emulator
-    assert isinstance(board, ArmEmulator)
-    line.write(b"G90\nG1 X20 F120\n")  # 10 s at 2 degrees a second
-    line.sleep(0.5)
+    driver, line, board = in_a_long_move(make)
     line.layer.hang_up(line.now(), 0.5)
     assert not driver.stop() and driver.stops_when_opened
     line.sleep(1.0)
