@@ -11,13 +11,18 @@ void drive_halt(struct drive *d)
     d->step_high = false;
 }
 
+/* Leave a closed switch before seeking it, which proves that switch and motor work. */
+static void leave_switch(struct drive *d)
+{
+    d->steps = 0;
+    d->phase = DRIVE_LEAVING;
+}
+
 void drive_home(struct drive *d)
 {
     if (d->phase == DRIVE_OFF)
         d->wait = DRIVE_WAKE_TICKS;
-    d->steps = 0;
-    /* A closed switch is left first, which proves that switch and motor work. */
-    d->phase = DRIVE_LEAVING;
+    leave_switch(d);
 }
 
 void drive_out(struct drive *d, int16_t steps)
@@ -33,7 +38,12 @@ void drive_back(struct drive *d)
 {
     if (d->phase == DRIVE_LEAVING || d->phase == DRIVE_SEEKING)
         drive_halt(d);
-    else if (d->phase != DRIVE_OFF && !(d->phase == DRIVE_HOLDING && d->place == 0))
+    else if (d->phase == DRIVE_HOLDING && d->place == 0)
+        return;
+    else if (d->phase != DRIVE_OFF && !d->opened)
+        /* The switch has not confirmed this short motion, so steps may be missing: find its edge. */
+        leave_switch(d);
+    else if (d->phase != DRIVE_OFF)
         d->phase = DRIVE_BACK;
 }
 
@@ -92,15 +102,14 @@ static int8_t next_step(struct drive *d)
         d->phase = DRIVE_HOLDING;
         return 0;
     case DRIVE_BACK:
-        /* After a short motion the switch may have stayed closed; then the step count decides. */
-        if (d->closed && d->place <= (d->opened ? FRONT_SLACK_STEPS : 0)) {
+        if (d->closed && d->place <= FRONT_SLACK_STEPS) {
             d->place = d->target = 0;
             d->phase = DRIVE_HOLDING;
             return 0;
         }
         /* Closed too early: steps were missed on the way out. Still open: steps were missed on the
          * way back. */
-        if ((d->closed && d->opened) || d->place <= -FRONT_SLACK_STEPS) {
+        if (d->closed || d->place <= -FRONT_SLACK_STEPS) {
             drive_halt(d);
             return 0;
         }

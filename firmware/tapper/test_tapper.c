@@ -454,6 +454,21 @@ static void test_missed_steps(void)
         keep(600);
         CHECK(host_state() == TAPPER_SAFE);
     }
+    /* The way out ends before the switch opens, and the way back is lost: nothing at the switch
+     * shows this, so the switch's edge is found again. */
+    for (uint32_t out = 1; out < 8; out++) {
+        homed();
+        CHECK(strstr(ask("CHARGE,1,12500,3000"), ",OK,CHARGING,"));
+        pass(out);
+        host_carriage()->back_drive = 0.0;
+        host_carriage()->powered = false;
+        CHECK(strstr(ask("DISCHARGE"), ",OK,"));
+        keep(12);
+        host_carriage()->powered = true;
+        keep(100);
+        CHECK(host_state() == TAPPER_SAFE);
+        CHECK(fabs(host_carriage()->place) < 1.5);
+    }
 }
 
 static void test_setup_mode(void)

@@ -7,6 +7,7 @@ from a seed with :func:`random_fault`, so every run can be repeated exactly.
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -150,6 +151,10 @@ class _Channel(TimedBytes):
         self.hold(until)
         self._queue = deque((max(at, until), held) for at, held in self._queue)
 
+    def last_time(self) -> float:
+        """Return the time when the last bytes in transmission arrive; -inf if there are none."""
+        return max((due for due, _ in self._queue), default=-math.inf)
+
     def clear(self) -> None:
         """Discard the bytes in transmission."""
         self._queue.clear()
@@ -222,6 +227,10 @@ class FaultLayer:
     def next_event(self) -> float | None:
         """Return the time of the next event; None if there is none."""
         return earliest(self.next_on_line(), self._to_host.next_time())
+
+    def delivered_by(self, now: float) -> float:
+        """Return the time by which the device has received all bytes sent before ``now``."""
+        return max(now, self._to_device.last_time())
 
     def power_cycle(self, now: float) -> None:
         """Restart the board."""

@@ -147,6 +147,8 @@ class InvariantChecker:
     stopped_at: dict[str, float] = field(default_factory=dict)
     motion_allowed: bool = True
     """Whether a person has allowed motion since the last crash, stop or loss of power."""
+    commanded_until: float = -math.inf
+    """Time by which the arm's line has delivered all commands sent before motion was forbidden."""
     hidden_since: float = math.inf
     moved_by_hand: tuple[float, Pose] | None = None
     """Time at which the object was last moved by hand, and the object's pose before this motion."""
@@ -588,7 +590,7 @@ class InvariantChecker:
                     "moved while inactive",
                     f"the arm began to move {inactive:.2f} s after its node had been deactivated",
                 )
-            if not self.motion_allowed:
+            if not self.motion_allowed and now > self.commanded_until + ROUNDING_S:
                 self.violate(
                     "moved by itself",
                     "the arm began to move without a person's permission after a crash or a stop",
@@ -639,11 +641,17 @@ class InvariantChecker:
 
     # Reports
 
+    def forbid_motion(self) -> None:
+        """Record that the arm may not begin to move until a person allows it; commands that its
+        line still delivers are not the node's."""
+        self.motion_allowed = False
+        self.commanded_until = self.physical.arm_line.layer.delivered_by(self.scheduler.now)
+
     def lose_reference(self) -> None:
         """Record that the arm's board has lost its position. The position remains unknown until the
         arm is homed."""
         if self._arm[0] != ArmState.HOMING:  # homing that a person has requested may still go on
-            self.motion_allowed = False
+            self.forbid_motion()
         self.unhomed_since = min(self.unhomed_since, self.scheduler.now)
 
     def _check_basis(self, tap_id: int) -> None:

@@ -772,7 +772,7 @@ class Trial:
     def _lost_process(self, node: str, crash: bool) -> None:
         self.note_kind(f"end of {node}")
         if node == "scara_arm":
-            self.checker.motion_allowed = False
+            self.checker.forbid_motion()
         if node == "tapper_trigger":
             self.checker.future_received.clear()
         if node == "tap_planner":
@@ -921,7 +921,7 @@ class Trial:
             self.checker.stopped_at.setdefault(node, self.scheduler.now)
             self._asked_to_clear.discard(node)
             if node == "scara_arm":
-                self.checker.motion_allowed = False
+                self.checker.forbid_motion()
         self.call_service(node, "~/stop")
 
     def reset(self, node: str) -> None:
@@ -1096,7 +1096,7 @@ class Trial:
             if process == "tapper_trigger":
                 self._expect_stop_on_wire()
             if process == "scara_arm":
-                self.checker.motion_allowed = False
+                self.checker.forbid_motion()
         if (
             topic == "tap_command"
             and process == "tapper_trigger"
