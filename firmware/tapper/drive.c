@@ -12,9 +12,9 @@ void drive_halt(struct drive *d)
 }
 
 /* Leave a closed switch before seeking it, which proves that switch and motor work. */
-static void leave_switch(struct drive *d)
+static void leave_switch(struct drive *d, int16_t at_most)
 {
-    d->steps = 0;
+    d->steps_left = at_most;
     d->phase = DRIVE_LEAVING;
 }
 
@@ -22,7 +22,7 @@ void drive_home(struct drive *d)
 {
     if (d->phase == DRIVE_OFF)
         d->wait = DRIVE_WAKE_TICKS;
-    leave_switch(d);
+    leave_switch(d, DRIVE_LEAVE_STEPS);
 }
 
 void drive_out(struct drive *d, int16_t steps)
@@ -41,8 +41,9 @@ void drive_back(struct drive *d)
     else if (d->phase == DRIVE_HOLDING && d->place == 0)
         return;
     else if (d->phase != DRIVE_OFF && !d->opened)
-        /* The switch has not confirmed this short motion, so steps may be missing: find its edge. */
-        leave_switch(d);
+        /* The switch has not confirmed this short motion, so steps may be missing: find its edge. A
+         * switch that is stuck must not let a stopped carriage go far. */
+        leave_switch(d, 2 * FRONT_HYSTERESIS_STEPS);
     else if (d->phase != DRIVE_OFF)
         d->phase = DRIVE_BACK;
 }
@@ -65,6 +66,16 @@ static bool settled(struct drive *d, bool front_closed)
     return d->equal == DRIVE_SETTLE_TICKS;
 }
 
+/* Switch the motor off if the carriage is not at the switch, where it should be, for example because
+ * somebody has turned the screw. A shot from there would have more energy than requested. */
+static bool moved_away(struct drive *d)
+{
+    if (d->place != 0 || d->closed)
+        return false;
+    drive_halt(d);
+    return true;
+}
+
 /* Return the direction of the next step: +1 outward, -1 to the front, 0 for no step. */
 static int8_t next_step(struct drive *d)
 {
@@ -72,10 +83,10 @@ static int8_t next_step(struct drive *d)
     case DRIVE_LEAVING:
         if (!d->closed) {
             d->phase = DRIVE_SEEKING;
-            d->steps = 0;
+            d->steps_left = LONGEST_DRAW_STEPS + DRIVE_LEAVE_STEPS;
             return 0;
         }
-        if (d->steps++ < DRIVE_LEAVE_STEPS)
+        if (d->steps_left-- > 0)
             return 1;
         drive_halt(d); /* the switch is stuck, or the motor does not move */
         return 0;
@@ -85,11 +96,13 @@ static int8_t next_step(struct drive *d)
             d->phase = DRIVE_HOLDING;
             return 0;
         }
-        if (d->steps++ < LONGEST_DRAW_STEPS + DRIVE_LEAVE_STEPS)
+        if (d->steps_left-- > 0)
             return -1;
         drive_halt(d);
         return 0;
     case DRIVE_OUT:
+        if (moved_away(d))
+            return 0;
         d->opened |= !d->closed;
         if (d->closed && d->place >= FRONT_HYSTERESIS_STEPS) {
             drive_halt(d); /* the steps did not move the carriage */
@@ -115,6 +128,9 @@ static int8_t next_step(struct drive *d)
         }
         d->place--;
         return -1;
+    case DRIVE_HOLDING:
+        moved_away(d);
+        return 0;
     default:
         return 0;
     }

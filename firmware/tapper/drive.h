@@ -34,7 +34,7 @@ struct drive {
     enum drive_phase phase;
     int16_t place;     /* steps from the front switch; invalid in OFF, LEAVING, SEEKING */
     int16_t target;
-    int16_t steps;     /* number of steps made in LEAVING or SEEKING */
+    int16_t steps_left; /* number of steps that may still be made in LEAVING or SEEKING */
     uint8_t wait;      /* ticks until the motor is awake */
     uint8_t equal;     /* consecutive equal samples of the switch, at most DRIVE_SETTLE_TICKS */
     bool closed;       /* last sample of the switch */

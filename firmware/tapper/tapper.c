@@ -246,6 +246,7 @@ static const char *home(struct tapper *t)
         return "INTERLOCK";
     if (t->state != TAPPER_UNHOMED && t->state != TAPPER_SAFE)
         return "BUSY";
+    t->press = PRESS_FOR_NOTHING;
     board_home();
     settle(t, TAPPER_SAFE, TAPPER_HOMING);
     return "OK";

@@ -301,6 +301,7 @@ static void test_stop_and_clear(void)
     CHECK(strstr(ask("CLEAR"), ",NEEDS_PERSON,")); /* while the loop is open */
     host_wire(0);
     press_button(510);
+    press_button(600);
     CHECK(strstr(ask("CLEAR"), ",OK,UNHOMED,"));
     double place = host_carriage()->place;
     keep(1000);
@@ -366,6 +367,18 @@ static void test_shot_numbers(void)
     host_button(0);
     pass(2);
     CHECK(host_kept() == 1);
+    /* Nor by a press during which homing has begun. */
+    host_start(6, 9, now, 0.0, 1);
+    pass(10);
+    greet();
+    CHECK(host_state() == TAPPER_UNHOMED);
+    host_button(1);
+    keep(4900);
+    CHECK(strstr(ask("HOME"), ",OK,HOMING,"));
+    keep(300);
+    host_button(0);
+    pass(2);
+    CHECK(host_kept() == 9);
     /* A button that is stuck when the board starts has no effect. */
     host_button(1);
     pass(10);
@@ -469,6 +482,44 @@ static void test_missed_steps(void)
         CHECK(host_state() == TAPPER_SAFE);
         CHECK(fabs(host_carriage()->place) < 1.5);
     }
+}
+
+/* Somebody turns the screw while the motor's supply is off: no shot has more energy than requested. */
+static void test_turned_by_hand(void)
+{
+    for (int charging = 0; charging < 2; charging++) {
+        homed();
+        host_carriage()->back_drive = 0.0;
+        if (charging)
+            CHECK(strstr(ask("CHARGE,1,1000,3000"), ",OK,CHARGING,"));
+        host_carriage()->place = 400.0;
+        host_carriage()->closed = false;
+        keep(20);
+        CHECK(host_state() == TAPPER_UNHOMED);
+        CHECK(strstr(ask("CHARGE,2,1000,3000"), ",NOT_HOMED,UNHOMED,"));
+        CHECK(strstr(ask("HOME"), ",OK,"));
+        keep(600);
+        CHECK(strstr(ask("CHARGE,2,1000,3000"), ",OK,CHARGING,"));
+        keep(400);
+        CHECK(host_state() == TAPPER_CHARGED && fabs(host_carriage()->place - 400.0) < 2.0);
+    }
+}
+
+/* A stop with a switch that is stuck closed: the carriage does not go far in search of its edge. */
+static void test_stop_with_stuck_switch(void)
+{
+    homed();
+    host_carriage()->back_drive = 0.0;
+    host_carriage()->stuck = 1;
+    CHECK(strstr(ask("CHARGE,1,12500,3000"), ",OK,CHARGING,"));
+    pass(3);
+    host_receive((const uint8_t *)"!", 1, now);
+    double before = host_carriage()->place;
+    pass(400);
+    CHECK(host_state() == TAPPER_STOPPED);
+    CHECK(host_carriage()->place <= before + 2 * FRONT_HYSTERESIS_STEPS);
+    press_button(600);
+    CHECK(strstr(ask("CLEAR"), ",OK,UNHOMED,"));
 }
 
 static void test_setup_mode(void)
@@ -718,6 +769,8 @@ int main(void)
     test_shot_numbers();
     test_homing();
     test_missed_steps();
+    test_turned_by_hand();
+    test_stop_with_stuck_switch();
     test_setup_mode();
     test_random_resets();
     test_random_delays();

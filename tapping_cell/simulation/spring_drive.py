@@ -96,6 +96,7 @@ class SpringDrive:
         self._count = 0
         self._target = 0
         self._opened = False
+        self._leave_steps = LEAVE_STEPS
         self._place = place
         self._closed = place <= 0.0
         self._powered = True
@@ -145,6 +146,7 @@ class SpringDrive:
     def home(self, now: float) -> None:
         """Leave the front switch if it is closed, then seek it."""
         wake = WAKE_TIME if self._phase is Phase.OFF else 0.0
+        self._leave_steps = LEAVE_STEPS
         self._begin(Phase.LEAVING, now, wake)
 
     def out(self, steps: int, now: float) -> None:
@@ -163,6 +165,7 @@ class SpringDrive:
         ):
             self._take(now)
             # The switch has not confirmed a short motion, so steps may be missing: find its edge.
+            self._leave_steps = 2 * HYSTERESIS_LIMIT
             self._begin(Phase.BACK if self._opened else Phase.LEAVING, now)
 
     def halt(self, now: float) -> None:
@@ -272,15 +275,18 @@ class SpringDrive:
 
         if self._phase is Phase.LEAVING:
             needed = self._steps_until(hysteresis - self._place)
-            if needed <= LEAVE_STEPS:
+            if needed <= self._leave_steps:
                 return after(needed, Phase.SEEKING, 0, SETTLE_TIME)
-            return after(LEAVE_STEPS, Phase.OFF, 0)
+            return after(self._leave_steps, Phase.OFF, 0)
         if self._phase is Phase.SEEKING:
             needed = 0 if self._switch() else self._steps_until(self._place)
             longest = self.mechanism.longest_draw + LEAVE_STEPS
             if needed <= longest:
                 return after(needed, Phase.HOLDING, 0, SETTLE_TIME)
             return after(longest, Phase.OFF, 0)
+        if self._count == 0 and self._phase in (Phase.OUT, Phase.HOLDING):
+            if not self._switch():  # the carriage is not at the switch, where it should be
+                return after(0, Phase.OFF, 0, SETTLE_TIME)
         if self._phase is Phase.OUT:
             check = max(0, HYSTERESIS_LIMIT - self._count)
             steps = self._target - self._count

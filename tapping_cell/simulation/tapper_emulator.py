@@ -381,6 +381,7 @@ class TapperEmulator:
             return "INTERLOCK"
         if self._state not in ("UNHOMED", "SAFE"):
             return "BUSY"
+        self._press = ""
         self.drive.home(now)
         self._settle("SAFE", "HOMING")
         return "OK"
