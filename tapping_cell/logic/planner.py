@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 from enum import Enum
 
 from tapping_cell.logic.arrangement import ArrangementTask
+from tapping_cell.logic import tap_commands
 from tapping_cell.logic.cell_monitor import CellMonitor, CodedError
 from tapping_cell.logic.clock import NANOSECONDS, Now, to_stamp
 from tapping_cell.logic.confirmation import Confirmation
@@ -763,9 +764,10 @@ class PlannerLogic:
         the tapper's 32 bits until 2106. If the clock was set back, the id is instead one above the
         greatest id that planner, arm or tapper has used.
         """
-        self._last_tap_id = max(
-            self._last_tap_id + 1, now.ros // NANOSECONDS, self._monitor.last_tap_id() + 1
-        )
+        # Arm and tapper refuse greater ids than this one, so they cannot have used them.
+        largest = tap_commands.largest_id(self._last_tap_id, now)
+        used = self._monitor.last_tap_id(largest)
+        self._last_tap_id = max(self._last_tap_id + 1, now.ros // NANOSECONDS, used + 1)
         return self._last_tap_id
 
     def _confirmation_holds(self, shot: Shot, now: Now) -> bool:

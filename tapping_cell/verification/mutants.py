@@ -446,10 +446,8 @@ MUTANTS: tuple[Mutant, ...] = (
     Mutant(
         "commands the same tap id again",
         "tapping_cell.logic.planner",
-        "            self._last_tap_id + 1, now.ros // NANOSECONDS, "
-        "self._monitor.last_tap_id() + 1\n",
-        "            self._last_tap_id, now.ros // (100 * NANOSECONDS), "
-        "self._monitor.last_tap_id()\n",
+        "max(self._last_tap_id + 1, now.ros // NANOSECONDS, used + 1)",
+        "max(self._last_tap_id, now.ros // (100 * NANOSECONDS), used)",
         kinds=("restart", "kill"),
     ),
     Mutant(
