@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from tapping_cell.logic.clock import to_seconds
+from tapping_cell.logic.clock import to_nanoseconds, to_seconds
 from tapping_cell.logic.frames import TABLE, FrameError, Frames
 from tapping_cell.logic.poses import compose, from_message, is_finite, quaternion_norm, tilt
 from tapping_cell.messages import ErrorCode, PoseStamped
@@ -69,6 +69,13 @@ def read_goal(message: PoseStamped, now: float, frames: Frames) -> Pose | Refuse
             f"{NORM_SLACK:g}; for an angle a about z send z = sin(a/2), w = cos(a/2)",
         )
     frame, pose = message.header.frame_id, message.pose
+    stamp = to_seconds(message.header.stamp)
+    if to_nanoseconds(message.header.stamp) < 0:
+        return Refused(
+            ErrorCode.GOAL_STALE,
+            f"the goal's stamp is negative ({stamp:g} s); send the goal again with a current stamp"
+            " or with stamp 0",
+        )
     if frame != TABLE:
         try:
             pose = compose(frames.in_table(frame, message.header.stamp), pose)
@@ -84,7 +91,6 @@ def read_goal(message: PoseStamped, now: float, frames: Frames) -> Pose | Refuse
             f"and {1000 * LARGEST_HEIGHT:.0f} mm are accepted, because taps keep the object flat on"
             " the table",
         )
-    stamp = to_seconds(message.header.stamp)
     age = now - stamp
     if stamp > 0 and not -FARTHEST_AHEAD_S <= age <= OLDEST_S:
         return Refused(

@@ -182,6 +182,28 @@ def test_a_goal_that_is_not_flat_on_the_table_in_its_frame_is_refused() -> None:
 
 
 def test_an_unknown_frame_is_refused_with_the_list_of_known_frames() -> None:
+class NoLookup:
+    """Frame lookup that must not be used."""
+
+    def in_table(self, frame: str, stamp: Time) -> PoseMessage:
+        raise AssertionError("the frame was looked up")
+
+
+@pytest.mark.parametrize("frame", ["table", "fixture"])
+@given(
+    sec=st.integers(-(2**31), -1),
+    nanosec=st.integers(0, 10**9 - 1),
+)
+def test_a_negative_stamp_is_refused_before_the_frame_is_looked_up(
+    frame: str, sec: int, nanosec: int
+) -> None:
+    message = spoiled(header__frame_id=frame)
+    message.header.stamp = Time(sec=sec, nanosec=nanosec)
+    refused = read_goal(message, NOW, NoLookup())
+    assert isinstance(refused, Refused) and refused.code == ErrorCode.GOAL_STALE
+    assert "negative" in refused.sentence
+
+
     message = goal_message()
     message.header.frame_id = "fixtrue"
     refused = read_goal(message, NOW, OneFrame((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0)))
