@@ -10,12 +10,13 @@ again. No tap is fired twice.
 from __future__ import annotations
 
 import math
+import traceback
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 
-from tapping_cell.logic.arrangement import ArrangementTask
 from tapping_cell.logic import tap_commands
+from tapping_cell.logic.arrangement import ArrangementTask
 from tapping_cell.logic.cell_monitor import CellMonitor, CodedError
 from tapping_cell.logic.clock import NANOSECONDS, Now, to_stamp
 from tapping_cell.logic.confirmation import Confirmation
@@ -38,7 +39,13 @@ from tapping_cell.logic.effects import (
 from tapping_cell.logic.goal_handling import GoalHandling, Request
 from tapping_cell.logic.goal_validation import REFUSALS, Refused
 from tapping_cell.logic.goal_watch import FINAL_STATES
-from tapping_cell.logic.host import Activated, Configured, Deactivated, LifecycleEvent
+from tapping_cell.logic.host import (
+    Activated,
+    Configured,
+    Deactivated,
+    LifecycleEvent,
+    UnansweredRequest,
+)
 from tapping_cell.logic.learnt import to_message as learnt_message
 from tapping_cell.logic.peer_clock import SKEW_LIMIT_S
 from tapping_cell.logic.planner_settings import PlannerSettings
@@ -67,6 +74,7 @@ from tapping_cell.planning import (
     Gains,
     KeepOut,
     ObserveAgain,
+    PlanningError,
     Refusal,
     RefusalReason,
     Strike,
@@ -392,24 +400,31 @@ class PlannerLogic:
             )
         return self._drain()
 
-    def on_defect(self, error: Exception, now: Now) -> Sequence[Effect]:
+    def on_defect(
+        self, error: Exception, now: Now, unanswered: UnansweredRequest | None = None
+    ) -> Sequence[Effect]:
         """End the tap and the goal after a handler has raised ``error``."""
-        self._effects.clear()
+        # The answers that the handler has already given are sent, because no other answers to these
+        # requests follow.
+        self._effects = [effect for effect in self._effects if isinstance(effect, Answer)]
         self._end_tap(now)
+        sentence = _internal_error(error)
         if self._task is not None:
-            self._finish(
-                S.FAILED,
-                ErrorCode.INTERNAL,
-                f"internal error ({error!r}): report it with the log",
-                now,
-            )
+            self._finish(S.FAILED, ErrorCode.INTERNAL, sentence, now)
+        elif self._configured:
+            # The handler may have ended a goal that is still stored.
+            self._effects.append(KeepGoal(None))
+        if unanswered is not None:
+            answered = [effect.token for effect in self._effects if isinstance(effect, Answer)]
+            if unanswered.token not in answered:
+                response = _failure(type(unanswered.request), ErrorCode.INTERNAL, sentence)
+                self._effects.append(Answer(unanswered.token, response))
         return self._drain()
 
     # Goals
 
     def _on_goal(self, request: Request, now: Now) -> None:
-        refused = self._refusal(now)
-        task: Task | Refused = refused or self.goals.accept(request, now)
+        task = self._refusal(now) or self._accepted(lambda: self.goals.accept(request, now))
         if isinstance(task, Refused):
             self._refuse(task, request, now)
         else:
@@ -421,22 +436,36 @@ class PlannerLogic:
             refused = Refused(
                 ErrorCode.PLANNER_BUSY, "a goal is under way; wait for its end, or cancel it"
             )
-        task = refused or self.goals.accept_tap(asked, token, self._monitor.pose, now)
+        pose = self._monitor.pose
+        task = refused or self._accepted(lambda: self.goals.accept_tap(asked, token, pose, now))
         if isinstance(task, Refused):
             self._log(LogLevel.ERROR, f"single tap refused ({task.code}): {task.sentence}")
-            result = SingleTap.Result(error_code=task.code, error_msg=task.sentence)
+            result = _failure(SingleTap.Goal, task.code, task.sentence)
             self._effects.append(Answer(token, result))
         else:
             self._begin(task, now)
 
     def _on_arrangement(self, asked: ArrangeObjects.Goal, token: Token, now: Now) -> None:
-        task = self._refusal(now) or self.goals.accept_arrangement(asked, token, now)
+        task = self._refusal(now) or self._accepted(
+            lambda: self.goals.accept_arrangement(asked, token, now)
+        )
         if isinstance(task, Refused):
             self._log(LogLevel.ERROR, f"arrangement refused ({task.code}): {task.sentence}")
-            result = ArrangeObjects.Result(error_code=task.code, error_msg=task.sentence)
+            result = _failure(ArrangeObjects.Goal, task.code, task.sentence)
             self._effects.append(Answer(token, result))
         else:
             self._begin(task, now)
+
+    def _accepted(self, accept: Callable[[], Task | Refused]) -> Task | Refused:
+        """Return the task for a request, or why the request is refused. If the check of the request
+        raises, only this request ends, because the check changes nothing of the goal under way."""
+        try:
+            return accept()
+        except PlanningError as error:
+            return Refused(ErrorCode.COMMAND_INVALID, str(error))
+        except Exception as error:
+            self._log(LogLevel.ERROR, traceback.format_exc())
+            return Refused(ErrorCode.INTERNAL, _internal_error(error))
 
     def _refusal(self, now: Now) -> Refused | None:
         """Return why no goal is accepted at present, or None if goals are accepted."""
@@ -469,25 +498,20 @@ class PlannerLogic:
         if request.token is None:
             self._report(now, code, sentence)
             return
-        result = PositionObject.Result(
-            error_code=code,
-            error_msg=sentence,
-            residual_distance=math.nan,
-            residual_rotation=math.nan,
-        )
+        result = _failure(PositionObject.Goal, code, sentence)
         self._effects.append(Answer(request.token, result))
 
     def _begin(self, task: Task, now: Now) -> None:
         if self._task is not None:
             self._end_tap(now)
             self._finish(S.CANCELED, ErrorCode.GOAL_REPLACED, "a newer goal replaced this one", now)
-        self._task = task
         self._resumed = None  # a goal that arrives before the resumption is newer
         self._is_resumed = False
         self._view_cleared = False
         self._monitor.watch(task.object_id if isinstance(task, ArrangementTask) else "")
         self._keep_goal(task, now)
         self._log(LogLevel.INFO, task.description())
+        self._task = task
         self._enter(Event.GOAL_ACCEPTED, S.WAITING_FOR_CELL, now, self._settings.ready_deadline)
 
     def _keep_goal(self, task: Task, now: Now) -> None:
@@ -544,7 +568,7 @@ class PlannerLogic:
         the start of this planner, end the goal, as the planner that crashed would have done."""
         if now.steady > self._resume_until:
             return  # the node was activated late
-        task = self.goals.accept(request, now)
+        task = self._accepted(lambda: self.goals.accept(request, now))
         if isinstance(task, Refused):
             self._refuse(task, request, now)
             return
@@ -1200,6 +1224,29 @@ class PlannerLogic:
     def _drain(self) -> Sequence[Effect]:
         effects, self._effects = self._effects, []
         return effects
+
+
+def _internal_error(error: Exception) -> str:
+    """Return the error message for a defect of the program."""
+    return f"internal error ({error!r}): report it with the log"
+
+
+def _failure(kind: type[Message], code: int, sentence: str) -> Message:
+    """Return the answer to a request of this class that is refused or whose handler raised."""
+    if kind is SetBool.Request:
+        return SetBool.Response(success=False, message=sentence)
+    if kind is ConfirmTap.Request:
+        return ConfirmTap.Response(error_code=code, error_msg=sentence)
+    if kind is SingleTap.Goal:
+        return SingleTap.Result(error_code=code, error_msg=sentence)
+    if kind is ArrangeObjects.Goal:
+        return ArrangeObjects.Result(error_code=code, error_msg=sentence)
+    return PositionObject.Result(
+        error_code=code,
+        error_msg=sentence,
+        residual_distance=math.nan,
+        residual_rotation=math.nan,
+    )
 
 
 def _final_report(state: PlanState, task: Task) -> GoalReport:
