@@ -65,6 +65,8 @@ class Request:
     """Whether a person confirms every tap."""
     object_id: str = ""
     """Name of the object; empty for the cell's own object."""
+    earlier_taps: int = 0
+    """Taps of this goal that a planner commanded before it crashed."""
 
 
 class GoalHandling:

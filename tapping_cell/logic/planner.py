@@ -517,10 +517,12 @@ class PlannerLogic:
     def _keep_goal(self, task: Task, now: Now) -> None:
         """Store the goal so that the planner can resume it after a crash."""
         if task.resumable and self._settings.resume_within > 0:
+            # A tap under way counts, because its outcome is not known after a crash.
             content = {
                 "goal": list(task.goal),
                 "tolerance": list(task.tolerance),
                 "max_taps": task.max_taps,
+                "taps": task.taps + (self._shot is not None),
                 "time_left": task.expires - now.steady,
                 "ask": self._asks(task),
                 "object_id": task.object_id,
@@ -551,8 +553,11 @@ class PlannerLogic:
             message = PoseStamped(pose=to_message(Pose(*map(float, kept["goal"]))))
             position, angle = (float(value) for value in kept["tolerance"])
             limit = max(float(kept["time_left"]) - event.kept_goal_age, 1.0)
-            taps, ask = int(kept["max_taps"]), bool(kept["ask"])
+            most, ask = int(kept["max_taps"]), bool(kept["ask"])
             name = str(kept["object_id"])
+            taps = int(kept.get("taps", 0))  # earlier versions did not store it
+            if not 0 <= taps <= most:
+                raise ValueError(taps)
         except (KeyError, TypeError, ValueError, OverflowError):
             self._log(
                 LogLevel.WARNING,
@@ -560,7 +565,16 @@ class PlannerLogic:
             )
             return
         message.header.frame_id = "table"
-        self._resumed = Request(message, position, angle, taps, limit, ask=ask, object_id=name)
+        self._resumed = Request(
+            message,
+            position,
+            angle,
+            most,
+            limit,
+            ask=ask,
+            object_id=name,
+            earlier_taps=taps,
+        )
         self._resume_until = now.steady + self._settings.resume_within - event.kept_goal_age
 
     def _resume(self, request: Request, now: Now) -> None:
@@ -572,6 +586,7 @@ class PlannerLogic:
         if isinstance(task, Refused):
             self._refuse(task, request, now)
             return
+        task.earlier_taps = request.earlier_taps
         self._log(LogLevel.WARNING, "resuming the goal of a planner that crashed")
         self._begin(task, now)
         self._is_resumed = True
@@ -601,7 +616,7 @@ class PlannerLogic:
         if now.steady > task.expires:
             self._fail(
                 ErrorCode.DEADLINE_EXCEEDED,
-                f"the goal was not reached within its time limit ({len(task.records)} finished"
+                f"the goal was not reached within its time limit ({task.taps} finished"
                 f" taps, last state {self.state.value}); send it again with a longer time limit",
                 now,
             )
@@ -661,6 +676,8 @@ class PlannerLogic:
         shot, self._shot = self._shot, None
         if shot is not None and self._may_have_been_fired(shot):
             self._take_in(task, shot, seen)
+        elif shot is not None:
+            self._keep_goal(task, now)
         task.arm = self._monitor.tip
         frames = 0 if self._late(now) else needed
         computation = task.computation(frames)
@@ -749,10 +766,10 @@ class PlannerLogic:
                 f" {100 * MIN_EFFECT:.0f} % of the wanted distance; check that the striker hits"
                 " it at the right height, and calibrate arm and tapper",
             )
-        if len(task.records) >= task.max_taps:
+        if task.taps >= task.max_taps:
             return (
                 ErrorCode.TAP_LIMIT_REACHED,
-                f"the object is not at the goal after {len(task.records)} of at most"
+                f"the object is not at the goal after {task.taps} of at most"
                 f" {task.max_taps} taps; {1000 * self.last.residual_distance:.2f} mm and"
                 f" {math.degrees(self.last.residual_rotation):.2f} deg remain; allow more taps, or"
                 " check the striker, the camera and the object's file",
@@ -765,7 +782,7 @@ class PlannerLogic:
         shot = Shot(
             self._next_tap_id(now),
             task.object_id,
-            len(task.records) + 1,
+            task.taps + 1,
             strike,
             before,
             covariance,
@@ -814,7 +831,9 @@ class PlannerLogic:
 
     def _command(self, shot: Shot, now: Now) -> None:
         """Publish the command of one tap."""
+        assert self._task is not None
         self._shot, self._proposed = shot, None
+        self._keep_goal(self._task, now)  # before the command, so that no crash loses the tap
         self._view_cleared = False
         self._struck_at = math.inf
         allowance = self._settings.place_deadline + self._settings.fire_deadline
@@ -1151,7 +1170,7 @@ class PlannerLogic:
         if code:
             self._log(LogLevel.ERROR, f"goal ended ({code}): {sentence}")
         else:
-            self._log(LogLevel.INFO, f"goal done after {len(task.records)} taps")
+            self._log(LogLevel.INFO, f"goal done after {task.taps} taps")
         if task.token is not None:
             result = task.result(code, sentence, self.last, seen)
             self._effects.append(Answer(task.token, result))

@@ -245,6 +245,9 @@ class LogicHost(Generic[Machine]):
             else:
                 sentence = f"the {what} could not be stored, so a restart of the node would lose it"
             self._node.get_logger().error(f"{sentence}: {error}")
+            if isinstance(effect, fx.KeepGoal) and effect.content is not None:
+                # A restart must not resume the goal with an old number of taps.
+                self._keep(fx.KeepGoal(None))
 
     def later(self, action: Callable[[], None]) -> None:
         """Run an action in the executor's thread after its current callback."""

@@ -447,9 +447,8 @@ class Process:
         elif isinstance(effect, AskStops):
             self._scheduler.after(0.3, lambda: self._report_stops(effect.token, life))
         elif isinstance(effect, KeepGoal):
-            if not self.disk.full or effect.content is None:
-                self.disk.goal = effect.content
-                self.disk.goal_touched = self._scheduler.now
+            self.disk.goal = None if self.disk.full else effect.content
+            self.disk.goal_touched = self._scheduler.now
         elif isinstance(effect, TouchGoal):
             self.disk.goal_touched = self._scheduler.now
         elif isinstance(effect, KeepStop):

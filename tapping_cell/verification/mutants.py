@@ -541,6 +541,13 @@ MUTANTS: tuple[Mutant, ...] = (
         kinds=("kill",),
     ),
     Mutant(
+        "does not store the number of taps",
+        "tapping_cell.logic.planner",
+        "self._keep_goal(self._task, now)  # before",
+        "# before",
+        kinds=("kill",),
+    ),
+    Mutant(
         "leaves the last tap of a failed goal out of its result",
         "tapping_cell.logic.task",
         "if shot.outcome in (TapperState.FIRED, TapperState.UNKNOWN):",
