@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from tapping_cell.configuration.schema import quantity, section, text
+from tapping_cell.planning.settings import LARGEST_ANGLE_TOLERANCE, LARGEST_POSITION_TOLERANCE
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,14 +23,14 @@ class LayoutGoal:
         "position tolerance of the goal; 0 means the tolerance of the cell file",
         "m",
         0.0,
-        1.0,
+        LARGEST_POSITION_TOLERANCE,
         default=0.0,
     )
     angle_tolerance: float = quantity(
         "angle tolerance of the goal; 0 means the tolerance of the cell file",
         "rad",
         0.0,
-        3.2,
+        LARGEST_ANGLE_TOLERANCE,
         default=0.0,
     )
 

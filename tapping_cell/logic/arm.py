@@ -261,6 +261,11 @@ class ArmLogic(DeviceLogic[State, Event]):
             response.arm_key = self._key
             self._effects.append(Answer(token, response))
 
+    def _failure(self, service: str, sentence: str) -> Message:
+        if service == "hold_still":
+            return HoldStill.Response(error_code=ErrorCode.INTERNAL, error_msg=sentence)
+        return super()._failure(service, sentence)
+
     def _handle_answer(self, token: Token, response: Message | None, now: Now) -> None:
         raise AssertionError(f"the arm has no pending request {token!r}")
 

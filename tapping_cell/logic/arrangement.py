@@ -274,7 +274,7 @@ class ArrangementTask(Task):
         state = ArrangementState(
             active=active,
             objects=self.progress(),
-            taps=len(self.records),
+            taps=self.taps,
             error_code=code,
             error_msg=sentence,
         )
@@ -296,7 +296,7 @@ class ArrangementTask(Task):
             error_code=code,
             error_msg=sentence,
             objects=self.progress(),
-            taps=len(self.records),
+            taps=self.taps,
             records=self.records,
         )
 

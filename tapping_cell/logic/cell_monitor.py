@@ -275,12 +275,11 @@ class CellMonitor:
         serving = arm is not None and arm.state in (ArmState.IN_POSITION, ArmState.MOVING)
         return int(arm.tap_id) if arm is not None and serving else 0
 
-    def last_tap_id(self) -> int:
-        """Return the greatest tap id that arm and tapper have published."""
-        return max(
-            self.arm.tap_id if self.arm is not None else 0,
-            self.tapper.tap_id if self.tapper is not None else 0,
-        )
+    def last_tap_id(self, largest: int) -> int:
+        """Return the greatest tap id up to ``largest`` that arm and tapper publish; 0 if there is
+        none."""
+        published = (state.tap_id for state in (self.arm, self.tapper) if state is not None)
+        return max((tap_id for tap_id in published if tap_id <= largest), default=0)
 
     def outcome(self, tap_id: int) -> int:
         """Return the outcome that the tapper publishes for a tap; NONE if it publishes none."""

@@ -34,6 +34,7 @@ from tapping_cell.logic.host import (
     Configured,
     Deactivated,
     LifecycleEvent,
+    UnansweredRequest,
     Unreachable,
 )
 from tapping_cell.logic.tap_commands import CodedError
@@ -294,11 +295,16 @@ class DeviceLogic(ABC, Generic[State, Event]):
         self._published = None
         return self._drain(now)
 
-    def on_defect(self, error: Exception, now: Now) -> Sequence[Effect]:
+    def on_defect(
+        self, error: Exception, now: Now, unanswered: UnansweredRequest | None = None
+    ) -> Sequence[Effect]:
         """Stop the device and report INTERNAL after a handler has raised ``error``."""
         self._effects.clear()
         self._effects.append(StopWire())
         self._defect(error, now)
+        if unanswered is not None:
+            response = self._failure(unanswered.service, self._error[1])
+            self._effects.append(Answer(unanswered.token, response))
         return self._drain(now)
 
     # Helpers for the devices
@@ -359,6 +365,10 @@ class DeviceLogic(ABC, Generic[State, Event]):
 
     def _log(self, level: LogLevel, sentence: str) -> None:
         self._effects.append(Log(level, sentence))
+
+    def _failure(self, service: str, sentence: str) -> Message:
+        """Return the answer to a request of a service whose handler raised."""
+        return Trigger.Response(success=False, message=sentence)
 
     def _answer(self, token: Token, success: bool, sentence: str) -> None:
         self._effects.append(Answer(token, Trigger.Response(success=success, message=sentence)))

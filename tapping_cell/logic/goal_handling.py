@@ -30,7 +30,6 @@ from tapping_cell.planning import (
     FreeSpace,
     Gains,
     Planner,
-    PlanningError,
     PositioningSession,
     PrescribedSession,
     Prescription,
@@ -66,6 +65,8 @@ class Request:
     """Whether a person confirms every tap."""
     object_id: str = ""
     """Name of the object; empty for the cell's own object."""
+    earlier_taps: int = 0
+    """Taps of this goal that a planner commanded before it crashed."""
 
 
 class GoalHandling:
@@ -284,6 +285,9 @@ class GoalHandling:
             for name, gains in learnt.items():
                 keep_gains(name, self._keep_for, gains)
 
+    # Acceptance of requests. These methods do not change the tasks that they have returned before.
+    # They raise PlanningError if a setting of a request is invalid for planning.
+
     def accept(self, request: Request, now: Now) -> Task | Refused:
         """Return a task for a request, or why the request is refused."""
         name = self.cell.object.name
@@ -376,10 +380,7 @@ class GoalHandling:
         if asked.tapper and asked.tapper not in names:
             return Refused(*tap_commands.unknown_tapper(asked.tapper, names))
         direction = None if math.isnan(asked.direction) else asked.direction
-        try:
-            tap = Prescription(asked.striker_speed, asked.incidence, direction, asked.slack)
-        except PlanningError as error:
-            return Refused(ErrorCode.COMMAND_INVALID, str(error))
+        tap = Prescription(asked.striker_speed, asked.incidence, direction, asked.slack)
         session = PrescribedSession(
             tap, self.map.experiments, self.map.free, self._gains, adapt=self._adapt
         )

@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from tapping_cell.logic.clock import to_seconds
+from tapping_cell.logic.clock import to_nanoseconds, to_seconds
 from tapping_cell.logic.frames import TABLE, FrameError, Frames
 from tapping_cell.logic.poses import compose, from_message, is_finite, quaternion_norm, tilt
 from tapping_cell.messages import ErrorCode, PoseStamped
 from tapping_cell.planning import RefusalReason
+from tapping_cell.planning.settings import LARGEST_ANGLE_TOLERANCE, LARGEST_POSITION_TOLERANCE
 from tapping_cell.se2 import Pose
 
 LARGEST_TILT = math.radians(0.5)
@@ -68,6 +69,13 @@ def read_goal(message: PoseStamped, now: float, frames: Frames) -> Pose | Refuse
             f"the goal's quaternion has length {norm:.3f}, but must have length 1 within "
             f"{NORM_SLACK:g}; for an angle a about z send z = sin(a/2), w = cos(a/2)",
         )
+    stamp = to_seconds(message.header.stamp)
+    if to_nanoseconds(message.header.stamp) < 0:
+        return Refused(
+            ErrorCode.GOAL_STALE,
+            f"the goal's stamp is negative ({stamp:g} s); send the goal again with a current stamp"
+            " or with stamp 0",
+        )
     frame, pose = message.header.frame_id, message.pose
     if frame != TABLE:
         try:
@@ -84,7 +92,6 @@ def read_goal(message: PoseStamped, now: float, frames: Frames) -> Pose | Refuse
             f"and {1000 * LARGEST_HEIGHT:.0f} mm are accepted, because taps keep the object flat on"
             " the table",
         )
-    stamp = to_seconds(message.header.stamp)
     age = now - stamp
     if stamp > 0 and not -FARTHEST_AHEAD_S <= age <= OLDEST_S:
         return Refused(
@@ -100,12 +107,15 @@ def read_tolerance(
     position: float, angle: float, default: tuple[float, float]
 ) -> tuple[float, float] | Refused:
     """Return the tolerance of an action goal in m and rad; 0 means the cell's default."""
-    for name, value, unit in (("position", position, "m"), ("angle", angle, "rad")):
-        if not math.isfinite(value) or value < 0 or 0 < value < MIN_TOLERANCE:
+    for name, value, largest, unit in (
+        ("position", position, LARGEST_POSITION_TOLERANCE, "m"),
+        ("angle", angle, LARGEST_ANGLE_TOLERANCE, "rad"),
+    ):
+        if value != 0 and not MIN_TOLERANCE <= value <= largest:  # also refuses NaN
             return Refused(
                 ErrorCode.GOAL_BAD_TOLERANCE,
                 f"the {name} tolerance is {value:g} {unit}; it must be at least {MIN_TOLERANCE:g} "
-                f"{unit}, or 0 for the cell's tolerance",
+                f"{unit} and at most {largest:g} {unit}, or 0 for the cell's tolerance",
             )
     return position or default[0], angle or default[1]
 

@@ -3,7 +3,7 @@
 The host calls one handler at a time, under one lock per machine, and reads the time after it has
 taken the lock. The host executes all effects that a handler returns, then calls the next handler.
 Jobs run outside the lock. If a handler raises, the program has a defect, and the host calls
-``on_defect``.
+``on_defect``. The host does not execute the effects of the handler that raised.
 """
 
 from __future__ import annotations
@@ -59,6 +59,15 @@ class ShutDown:
 LifecycleEvent = Configured | Unreachable | Activated | Deactivated | ShutDown
 
 
+@dataclass(frozen=True, slots=True)
+class UnansweredRequest:
+    """A request whose handler raised, so that its client still waits for an answer."""
+
+    service: str
+    request: Message
+    token: Token
+
+
 class Logic(Protocol):
     """Interface of a state machine."""
 
@@ -90,5 +99,11 @@ class Logic(Protocol):
     def on_tick(self, now: Now) -> Sequence[Effect]:
         """Handle the timer."""
 
-    def on_defect(self, error: Exception, now: Now) -> Sequence[Effect]:
-        """Go to a safe state and report INTERNAL after a handler has raised ``error``."""
+    def on_defect(
+        self, error: Exception, now: Now, unanswered: UnansweredRequest | None = None
+    ) -> Sequence[Effect]:
+        """Go to a safe state and report INTERNAL after a handler has raised ``error``.
+
+        ``unanswered``: the request that the handler received, if it received one; it is answered
+        with a failure.
+        """

@@ -13,7 +13,7 @@ from tapping_cell.configuration.objects import ObjectFile
 from tapping_cell.logic.clock import Now
 from tapping_cell.logic.peer_clock import PeerClock
 from tapping_cell.logic.poses import from_message
-from tapping_cell.messages import ObjectState, ObjectStates
+from tapping_cell.messages import ObjectState, ObjectStates, Polygon
 from tapping_cell.planning import CircleArea, KeepOut, PolygonArea
 from tapping_cell.se2 import Pose, transform_points
 
@@ -62,6 +62,8 @@ class OtherObjects:
         if not message.visible:
             return
         pose, radius = from_message(message.pose.pose), shape.reach()
+        if not all(map(math.isfinite, pose)):
+            return
         before, known.seen_at = known.pose, now.steady
         shift = math.inf
         if before is not None:
@@ -77,10 +79,8 @@ class OtherObjects:
         if stamp.sec == 0 and stamp.nanosec == 0:
             return
         self._searched_at = clock.to_steady(stamp, now)
-        self._unknown = tuple(
-            _unknown_area([(point.x, point.y) for point in outline.points])
-            for outline in message.unknown_objects
-        )
+        outlines = (_finite_corners(outline) for outline in message.unknown_objects)
+        self._unknown = tuple(_unknown_area(corners) for corners in outlines if len(corners) >= 3)
 
     @property
     def unknown(self) -> tuple[PolygonArea, ...]:
@@ -120,6 +120,11 @@ class OtherObjects:
             return CircleArea(known.pose.x, known.pose.y, file.shape.reach(), file.name)
         corners = transform_points(known.pose, file.shape.vertices)
         return PolygonArea(tuple((float(x), float(y)) for x, y in corners), file.name)
+
+
+def _finite_corners(outline: Polygon) -> list[tuple[float, float]]:
+    corners = [(point.x, point.y) for point in outline.points]
+    return [corner for corner in corners if all(map(math.isfinite, corner))]
 
 
 def _unknown_area(corners: list[tuple[float, float]]) -> PolygonArea:

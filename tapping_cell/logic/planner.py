@@ -10,10 +10,12 @@ again. No tap is fired twice.
 from __future__ import annotations
 
 import math
+import traceback
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 
+from tapping_cell.logic import tap_commands
 from tapping_cell.logic.arrangement import ArrangementTask
 from tapping_cell.logic.cell_monitor import CellMonitor, CodedError
 from tapping_cell.logic.clock import NANOSECONDS, Now, to_stamp
@@ -37,7 +39,13 @@ from tapping_cell.logic.effects import (
 from tapping_cell.logic.goal_handling import GoalHandling, Request
 from tapping_cell.logic.goal_validation import REFUSALS, Refused
 from tapping_cell.logic.goal_watch import FINAL_STATES
-from tapping_cell.logic.host import Activated, Configured, Deactivated, LifecycleEvent
+from tapping_cell.logic.host import (
+    Activated,
+    Configured,
+    Deactivated,
+    LifecycleEvent,
+    UnansweredRequest,
+)
 from tapping_cell.logic.learnt import to_message as learnt_message
 from tapping_cell.logic.peer_clock import SKEW_LIMIT_S
 from tapping_cell.logic.planner_settings import PlannerSettings
@@ -66,6 +74,7 @@ from tapping_cell.planning import (
     Gains,
     KeepOut,
     ObserveAgain,
+    PlanningError,
     Refusal,
     RefusalReason,
     Strike,
@@ -391,24 +400,31 @@ class PlannerLogic:
             )
         return self._drain()
 
-    def on_defect(self, error: Exception, now: Now) -> Sequence[Effect]:
+    def on_defect(
+        self, error: Exception, now: Now, unanswered: UnansweredRequest | None = None
+    ) -> Sequence[Effect]:
         """End the tap and the goal after a handler has raised ``error``."""
-        self._effects.clear()
+        # The answers that the handler has already given are sent, because no other answers to these
+        # requests follow.
+        self._effects = [effect for effect in self._effects if isinstance(effect, Answer)]
         self._end_tap(now)
+        sentence = _internal_error(error)
         if self._task is not None:
-            self._finish(
-                S.FAILED,
-                ErrorCode.INTERNAL,
-                f"internal error ({error!r}): report it with the log",
-                now,
-            )
+            self._finish(S.FAILED, ErrorCode.INTERNAL, sentence, now)
+        elif self._configured:
+            # The handler may have ended a goal that is still stored.
+            self._effects.append(KeepGoal(None))
+        if unanswered is not None:
+            answered = [effect.token for effect in self._effects if isinstance(effect, Answer)]
+            if unanswered.token not in answered:
+                response = _failure(type(unanswered.request), ErrorCode.INTERNAL, sentence)
+                self._effects.append(Answer(unanswered.token, response))
         return self._drain()
 
     # Goals
 
     def _on_goal(self, request: Request, now: Now) -> None:
-        refused = self._refusal(now)
-        task: Task | Refused = refused or self.goals.accept(request, now)
+        task = self._refusal(now) or self._accepted(lambda: self.goals.accept(request, now))
         if isinstance(task, Refused):
             self._refuse(task, request, now)
         else:
@@ -420,22 +436,36 @@ class PlannerLogic:
             refused = Refused(
                 ErrorCode.PLANNER_BUSY, "a goal is under way; wait for its end, or cancel it"
             )
-        task = refused or self.goals.accept_tap(asked, token, self._monitor.pose, now)
+        pose = self._monitor.pose
+        task = refused or self._accepted(lambda: self.goals.accept_tap(asked, token, pose, now))
         if isinstance(task, Refused):
             self._log(LogLevel.ERROR, f"single tap refused ({task.code}): {task.sentence}")
-            result = SingleTap.Result(error_code=task.code, error_msg=task.sentence)
+            result = _failure(SingleTap.Goal, task.code, task.sentence)
             self._effects.append(Answer(token, result))
         else:
             self._begin(task, now)
 
     def _on_arrangement(self, asked: ArrangeObjects.Goal, token: Token, now: Now) -> None:
-        task = self._refusal(now) or self.goals.accept_arrangement(asked, token, now)
+        task = self._refusal(now) or self._accepted(
+            lambda: self.goals.accept_arrangement(asked, token, now)
+        )
         if isinstance(task, Refused):
             self._log(LogLevel.ERROR, f"arrangement refused ({task.code}): {task.sentence}")
-            result = ArrangeObjects.Result(error_code=task.code, error_msg=task.sentence)
+            result = _failure(ArrangeObjects.Goal, task.code, task.sentence)
             self._effects.append(Answer(token, result))
         else:
             self._begin(task, now)
+
+    def _accepted(self, accept: Callable[[], Task | Refused]) -> Task | Refused:
+        """Return the task for a request, or why the request is refused. If the check of the request
+        raises, only this request ends, because the check changes nothing of the goal under way."""
+        try:
+            return accept()
+        except PlanningError as error:
+            return Refused(ErrorCode.COMMAND_INVALID, str(error))
+        except Exception as error:
+            self._log(LogLevel.ERROR, traceback.format_exc())
+            return Refused(ErrorCode.INTERNAL, _internal_error(error))
 
     def _refusal(self, now: Now) -> Refused | None:
         """Return why no goal is accepted at present, or None if goals are accepted."""
@@ -468,34 +498,31 @@ class PlannerLogic:
         if request.token is None:
             self._report(now, code, sentence)
             return
-        result = PositionObject.Result(
-            error_code=code,
-            error_msg=sentence,
-            residual_distance=math.nan,
-            residual_rotation=math.nan,
-        )
+        result = _failure(PositionObject.Goal, code, sentence)
         self._effects.append(Answer(request.token, result))
 
     def _begin(self, task: Task, now: Now) -> None:
         if self._task is not None:
             self._end_tap(now)
             self._finish(S.CANCELED, ErrorCode.GOAL_REPLACED, "a newer goal replaced this one", now)
-        self._task = task
         self._resumed = None  # a goal that arrives before the resumption is newer
         self._is_resumed = False
         self._view_cleared = False
         self._monitor.watch(task.object_id if isinstance(task, ArrangementTask) else "")
         self._keep_goal(task, now)
         self._log(LogLevel.INFO, task.description())
+        self._task = task
         self._enter(Event.GOAL_ACCEPTED, S.WAITING_FOR_CELL, now, self._settings.ready_deadline)
 
     def _keep_goal(self, task: Task, now: Now) -> None:
         """Store the goal so that the planner can resume it after a crash."""
         if task.resumable and self._settings.resume_within > 0:
+            # A tap under way counts, because its outcome is not known after a crash.
             content = {
                 "goal": list(task.goal),
                 "tolerance": list(task.tolerance),
                 "max_taps": task.max_taps,
+                "taps": task.taps + (self._shot is not None),
                 "time_left": task.expires - now.steady,
                 "ask": self._asks(task),
                 "object_id": task.object_id,
@@ -526,8 +553,11 @@ class PlannerLogic:
             message = PoseStamped(pose=to_message(Pose(*map(float, kept["goal"]))))
             position, angle = (float(value) for value in kept["tolerance"])
             limit = max(float(kept["time_left"]) - event.kept_goal_age, 1.0)
-            taps, ask = int(kept["max_taps"]), bool(kept["ask"])
+            most, ask = int(kept["max_taps"]), bool(kept["ask"])
             name = str(kept["object_id"])
+            taps = int(kept.get("taps", 0))  # earlier versions did not store it
+            if not 0 <= taps <= most:
+                raise ValueError(taps)
         except (KeyError, TypeError, ValueError, OverflowError):
             self._log(
                 LogLevel.WARNING,
@@ -535,7 +565,16 @@ class PlannerLogic:
             )
             return
         message.header.frame_id = "table"
-        self._resumed = Request(message, position, angle, taps, limit, ask=ask, object_id=name)
+        self._resumed = Request(
+            message,
+            position,
+            angle,
+            most,
+            limit,
+            ask=ask,
+            object_id=name,
+            earlier_taps=taps,
+        )
         self._resume_until = now.steady + self._settings.resume_within - event.kept_goal_age
 
     def _resume(self, request: Request, now: Now) -> None:
@@ -543,10 +582,11 @@ class PlannerLogic:
         the start of this planner, end the goal, as the planner that crashed would have done."""
         if now.steady > self._resume_until:
             return  # the node was activated late
-        task = self.goals.accept(request, now)
+        task = self._accepted(lambda: self.goals.accept(request, now))
         if isinstance(task, Refused):
             self._refuse(task, request, now)
             return
+        task.earlier_taps = request.earlier_taps
         self._log(LogLevel.WARNING, "resuming the goal of a planner that crashed")
         self._begin(task, now)
         self._is_resumed = True
@@ -576,7 +616,7 @@ class PlannerLogic:
         if now.steady > task.expires:
             self._fail(
                 ErrorCode.DEADLINE_EXCEEDED,
-                f"the goal was not reached within its time limit ({len(task.records)} finished"
+                f"the goal was not reached within its time limit ({task.taps} finished"
                 f" taps, last state {self.state.value}); send it again with a longer time limit",
                 now,
             )
@@ -636,6 +676,8 @@ class PlannerLogic:
         shot, self._shot = self._shot, None
         if shot is not None and self._may_have_been_fired(shot):
             self._take_in(task, shot, seen)
+        elif shot is not None:
+            self._keep_goal(task, now)
         task.arm = self._monitor.tip
         frames = 0 if self._late(now) else needed
         computation = task.computation(frames)
@@ -724,10 +766,10 @@ class PlannerLogic:
                 f" {100 * MIN_EFFECT:.0f} % of the wanted distance; check that the striker hits"
                 " it at the right height, and calibrate arm and tapper",
             )
-        if len(task.records) >= task.max_taps:
+        if task.taps >= task.max_taps:
             return (
                 ErrorCode.TAP_LIMIT_REACHED,
-                f"the object is not at the goal after {len(task.records)} of at most"
+                f"the object is not at the goal after {task.taps} of at most"
                 f" {task.max_taps} taps; {1000 * self.last.residual_distance:.2f} mm and"
                 f" {math.degrees(self.last.residual_rotation):.2f} deg remain; allow more taps, or"
                 " check the striker, the camera and the object's file",
@@ -740,7 +782,7 @@ class PlannerLogic:
         shot = Shot(
             self._next_tap_id(now),
             task.object_id,
-            len(task.records) + 1,
+            task.taps + 1,
             strike,
             before,
             covariance,
@@ -763,9 +805,10 @@ class PlannerLogic:
         the tapper's 32 bits until 2106. If the clock was set back, the id is instead one above the
         greatest id that planner, arm or tapper has used.
         """
-        self._last_tap_id = max(
-            self._last_tap_id + 1, now.ros // NANOSECONDS, self._monitor.last_tap_id() + 1
-        )
+        # Arm and tapper refuse greater ids than this one, so they cannot have used them.
+        largest = tap_commands.largest_id(self._last_tap_id, now)
+        used = self._monitor.last_tap_id(largest)
+        self._last_tap_id = max(self._last_tap_id + 1, now.ros // NANOSECONDS, used + 1)
         return self._last_tap_id
 
     def _confirmation_holds(self, shot: Shot, now: Now) -> bool:
@@ -788,7 +831,9 @@ class PlannerLogic:
 
     def _command(self, shot: Shot, now: Now) -> None:
         """Publish the command of one tap."""
+        assert self._task is not None
         self._shot, self._proposed = shot, None
+        self._keep_goal(self._task, now)  # before the command, so that no crash loses the tap
         self._view_cleared = False
         self._struck_at = math.inf
         allowance = self._settings.place_deadline + self._settings.fire_deadline
@@ -1125,7 +1170,7 @@ class PlannerLogic:
         if code:
             self._log(LogLevel.ERROR, f"goal ended ({code}): {sentence}")
         else:
-            self._log(LogLevel.INFO, f"goal done after {len(task.records)} taps")
+            self._log(LogLevel.INFO, f"goal done after {task.taps} taps")
         if task.token is not None:
             result = task.result(code, sentence, self.last, seen)
             self._effects.append(Answer(task.token, result))
@@ -1198,6 +1243,29 @@ class PlannerLogic:
     def _drain(self) -> Sequence[Effect]:
         effects, self._effects = self._effects, []
         return effects
+
+
+def _internal_error(error: Exception) -> str:
+    """Return the error message for a defect of the program."""
+    return f"internal error ({error!r}): report it with the log"
+
+
+def _failure(kind: type[Message], code: int, sentence: str) -> Message:
+    """Return the answer to a request of this class that is refused or whose handler raised."""
+    if kind is SetBool.Request:
+        return SetBool.Response(success=False, message=sentence)
+    if kind is ConfirmTap.Request:
+        return ConfirmTap.Response(error_code=code, error_msg=sentence)
+    if kind is SingleTap.Goal:
+        return SingleTap.Result(error_code=code, error_msg=sentence)
+    if kind is ArrangeObjects.Goal:
+        return ArrangeObjects.Result(error_code=code, error_msg=sentence)
+    return PositionObject.Result(
+        error_code=code,
+        error_msg=sentence,
+        residual_distance=math.nan,
+        residual_rotation=math.nan,
+    )
 
 
 def _final_report(state: PlanState, task: Task) -> GoalReport:

@@ -171,6 +171,9 @@ class Task:
     """Steady time in s after which the goal is aborted."""
     ask: bool = False
     """Whether a person confirms every tap."""
+    earlier_taps: int = 0
+    """Taps of this goal that a planner commanded before it crashed, and that were not certainly not
+    fired. There are no records of these taps."""
     records: list[TapRecord] = field(default_factory=list)
     not_fired: int = 0
     late: int = 0
@@ -180,6 +183,11 @@ class Task:
     """Map of the free space that the session uses at present."""
     arm: tuple[float, float, float, float] | None = None
     """Pose of the arm's tip when a decision is made: x, y, height and yaw in ``table``."""
+
+    @property
+    def taps(self) -> int:
+        """Number of taps of this goal that were fired or may have been fired."""
+        return self.earlier_taps + len(self.records)
 
     def description(self) -> str:
         """Return a readable description of the goal."""
@@ -273,7 +281,7 @@ class Task:
             error_msg=sentence,
             residual_distance=last.residual_distance,
             residual_rotation=last.residual_rotation,
-            taps=len(self.records),
+            taps=self.taps,
             records=self.records,
         )
         if seen is not None and seen.visible:
@@ -288,7 +296,7 @@ class Task:
         state.planner = self.session.method
         state.goal = self.message
         state.position_tolerance, state.angle_tolerance = self.tolerance
-        state.taps = len(self.records)
+        state.taps = self.taps
         if self.records:
             state.last_tap = self.records[-1]
         state.residual_distance = state.residual_rotation = math.nan

@@ -24,7 +24,14 @@ from tapping_cell import messages
 from tapping_cell.logic import effects as fx
 from tapping_cell.logic import stops
 from tapping_cell.logic.clock import Now
-from tapping_cell.logic.host import Activated, Deactivated, LifecycleEvent, Logic, ShutDown
+from tapping_cell.logic.host import (
+    Activated,
+    Deactivated,
+    LifecycleEvent,
+    Logic,
+    ShutDown,
+    UnansweredRequest,
+)
 from tapping_cell.nodes.cell_node import CellNode, Parameters
 from tapping_cell.nodes.deferred_service import Respond, create_deferred_service
 from tapping_cell.nodes.kept_content import KeptContent
@@ -137,7 +144,10 @@ class LogicHost(Generic[Machine]):
         self._requests[token] = answer
         if feedback is not None:
             self._feedback[token] = feedback
-        self._dispatch(lambda now: self._logic.on_request(service, request, token, now))
+        self._dispatch(
+            lambda now: self._logic.on_request(service, request, token, now),
+            UnansweredRequest(service, request, token),
+        )
         return token
 
     def cancel(self, token: int) -> None:
@@ -160,13 +170,17 @@ class LogicHost(Generic[Machine]):
     def _answered(self, token: Any, response: Any) -> None:
         self._dispatch(lambda now: self._logic.on_answer(token, response, now))
 
-    def _dispatch(self, handler: Callable[[Now], Sequence[fx.Effect]]) -> None:
+    def _dispatch(
+        self,
+        handler: Callable[[Now], Sequence[fx.Effect]],
+        request: UnansweredRequest | None = None,
+    ) -> None:
         with self._lock:
             try:
                 made = handler(self.now())
             except Exception as error:
                 self._node.get_logger().error(traceback.format_exc())
-                made = self._logic.on_defect(error, self.now())
+                made = self._logic.on_defect(error, self.now(), request)
             for effect in made:
                 self._perform(effect)
 
@@ -231,6 +245,9 @@ class LogicHost(Generic[Machine]):
             else:
                 sentence = f"the {what} could not be stored, so a restart of the node would lose it"
             self._node.get_logger().error(f"{sentence}: {error}")
+            if isinstance(effect, fx.KeepGoal) and effect.content is not None:
+                # A restart must not resume the goal with an old number of taps.
+                self._keep(fx.KeepGoal(None))
 
     def later(self, action: Callable[[], None]) -> None:
         """Run an action in the executor's thread after its current callback."""

@@ -20,6 +20,10 @@ from tapping_cell.planning.errors import PlanningError
 from tapping_cell.planning.stopping import LONG_OBSERVATION, Array, StoppingBox, stopping_box
 
 VARIANTS = ("retreat", "overshoot")
+LARGEST_POSITION_TOLERANCE = 0.1
+"""Maximum position tolerance of a goal, m."""
+LARGEST_ANGLE_TOLERANCE = 1.5
+"""Maximum angle tolerance of a goal, rad."""
 
 
 def _check_range(owner: object, name: str, low: float, high: float, unit: str) -> None:
@@ -131,8 +135,8 @@ class PlannerSettings:
         _check_range(self, "cone_slope", 1e-3, 1e3, "rad/m")
         _check_range(self, "smallest_distance", 1e-5, 0.1, "m")
         _check_range(self, "largest_distance", 2.0 * self.smallest_distance, 2.0, "m")
-        _check_range(self, "tolerance_position", 1e-5, 0.1, "m")
-        _check_range(self, "tolerance_angle", 1e-5, 1.5, "rad")
+        _check_range(self, "tolerance_position", 1e-5, LARGEST_POSITION_TOLERANCE, "m")
+        _check_range(self, "tolerance_angle", 1e-5, LARGEST_ANGLE_TOLERANCE, "rad")
         if self.box is not None:
             _check_range(self, "box", 0.05, 1.0, "(share of the tolerance)")
         if self.error_line is not None:

@@ -43,6 +43,7 @@ from tapping_cell.logic.host import (
     LifecycleEvent,
     Logic,
     ShutDown,
+    UnansweredRequest,
     Unreachable,
 )
 from tapping_cell.messages import Bool
@@ -315,7 +316,12 @@ class Process:
         """
         if waits:
             self._answers[token] = answer
-        self._when_awake(lambda: self._handle(self.logic.on_request, service, request, token))
+        unanswered = UnansweredRequest(service, request, token) if waits else None
+        self._when_awake(
+            lambda: self._handle(
+                self.logic.on_request, service, request, token, unanswered=unanswered
+            )
+        )
 
     # Received messages
 
@@ -362,16 +368,21 @@ class Process:
 
     # The machine and its effects
 
-    def _handle(self, call: Callable[..., Sequence[Effect]], *arguments: Any) -> None:
+    def _handle(
+        self,
+        call: Callable[..., Sequence[Effect]],
+        *arguments: Any,
+        unanswered: UnansweredRequest | None = None,
+    ) -> None:
         """Call a handler of the state machine with these arguments and the time, and carry out the
-        effects that it returns."""
+        effects that it returns. ``unanswered``: the request that the handler receives, if any."""
         if not self.alive:
             return
         try:
             effects = call(*arguments, self._clock.now())
         except Exception as error:  # a defect: handle it as the ROS host does
             self.defects.append(f"{self.name}: {error!r}")
-            effects = self.logic.on_defect(error, self._clock.now())
+            effects = self.logic.on_defect(error, self._clock.now(), unanswered)
         self._carry_out(effects)
 
     def _carry_out(self, effects: Sequence[Effect]) -> None:
@@ -436,9 +447,8 @@ class Process:
         elif isinstance(effect, AskStops):
             self._scheduler.after(0.3, lambda: self._report_stops(effect.token, life))
         elif isinstance(effect, KeepGoal):
-            if not self.disk.full or effect.content is None:
-                self.disk.goal = effect.content
-                self.disk.goal_touched = self._scheduler.now
+            self.disk.goal = None if self.disk.full else effect.content
+            self.disk.goal_touched = self._scheduler.now
         elif isinstance(effect, TouchGoal):
             self.disk.goal_touched = self._scheduler.now
         elif isinstance(effect, KeepStop):

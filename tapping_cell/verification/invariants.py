@@ -773,6 +773,8 @@ class InvariantChecker:
                     f"the planner resumed a goal {self.scheduler.now - crashed[1]:.1f} s after its"
                     f" crash (limit {RESUMED_S:g} s)",
                 )
+        if self._crashed is None or self._crashed[0] != self._goal:
+            self._taps.pop(self._goal, None)  # a goal message that was delivered twice
         self._crashed = None
         self._begun.add(self._goal)
 
@@ -796,14 +798,23 @@ class InvariantChecker:
         """Check the result of an action goal against the ground truth. ``tolerance``: m and rad."""
         if result.error_code == ErrorCode.NONE:
             self._check_claim("the result says", self._requests[request][0], tolerance)
+        self._check_count("the result gives", request, result.taps)
+        if len(result.records) != result.taps:
+            self.violate(
+                "false count",
+                f"the result gives {result.taps} taps, but {len(result.records)} records",
+            )
+
+    def _check_count(self, who: str, request: int, taps: int) -> None:
+        """Check a reported number of taps of a goal, including taps before a crash of the
+        planner."""
         commanded = self._taps.get(request, [])
         told = set(commanded) - self._forged
         fired = sum(release.shot in told for release in self.physical.releases)
-        if not fired <= result.taps <= len(commanded) or len(result.records) != result.taps:
+        if not fired <= taps <= len(commanded):
             self.violate(
                 "false count",
-                f"the result gives {result.taps} taps and {len(result.records)} records, but"
-                f" {fired} of {len(commanded)} commanded taps were fired",
+                f"{who} {taps} taps, but {fired} of {len(commanded)} commanded taps were fired",
             )
 
     def check_outcome(self) -> None:
@@ -862,6 +873,8 @@ class InvariantChecker:
             )
             self._plan_state_since = self.scheduler.now
         if message.state in ENDED:
+            if self._goal is not None:
+                self._check_count("the planner reports", self._goal, message.taps)
             self._goal = None
         elif self._goal is None or before[1:] != after[1:]:
             self._begin_goal(message)

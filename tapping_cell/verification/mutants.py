@@ -446,10 +446,8 @@ MUTANTS: tuple[Mutant, ...] = (
     Mutant(
         "commands the same tap id again",
         "tapping_cell.logic.planner",
-        "            self._last_tap_id + 1, now.ros // NANOSECONDS, "
-        "self._monitor.last_tap_id() + 1\n",
-        "            self._last_tap_id, now.ros // (100 * NANOSECONDS), "
-        "self._monitor.last_tap_id()\n",
+        "max(self._last_tap_id + 1, now.ros // NANOSECONDS, used + 1)",
+        "max(self._last_tap_id, now.ros // (100 * NANOSECONDS), used)",
         kinds=("restart", "kill"),
     ),
     Mutant(
@@ -540,6 +538,13 @@ MUTANTS: tuple[Mutant, ...] = (
         "tapping_cell.logic.planner",
         "if not 0 <= event.kept_goal_age <= self._settings.resume_within:",
         "if False:",
+        kinds=("kill",),
+    ),
+    Mutant(
+        "does not store the number of taps",
+        "tapping_cell.logic.planner",
+        "self._keep_goal(self._task, now)  # before",
+        "# before",
         kinds=("kill",),
     ),
     Mutant(

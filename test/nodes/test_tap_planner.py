@@ -235,3 +235,17 @@ def test_an_active_goal_is_stored_for_crash_recovery_and_deleted_at_its_end(tmp_
         assert json.loads(kept.read_text())["goal"] == pytest.approx(list(GOAL))
         made.end()
         assert not kept.exists()
+
+
+def test_a_stored_goal_that_cannot_be_updated_is_deleted(tmp_path: Path) -> None:
+    with acted() as made:
+        made.arm_active = False
+        made.send()
+        folder = tmp_path / ".ros" / "tapping_cell"
+        made.bench.wait(lambda: list(folder.glob("domain*/goal.json")), "the stored goal")
+        (kept,) = folder.glob("domain*/goal.json")
+        kept.with_suffix(".part").mkdir()  # no new content can be written
+        made.arm_active = True
+        made.bench.wait(made.taps, "a tap")
+        assert not kept.exists(), "a restart would resume the goal with an old number of taps"
+        made.end()

@@ -36,7 +36,8 @@ class TfFrames:
         """See ``logic.frames.Frames``."""
         try:
             found = self._lookup(frame, Time(nanoseconds=to_nanoseconds(stamp)))
-        except tf2_ros.TransformException as error:
+        except (tf2_ros.TransformException, ValueError) as error:
+            # rclpy raises ValueError for a time that ROS cannot represent.
             raise FrameError(self._refusal(frame, error)) from error
         place, turn = found.transform.translation, found.transform.rotation
         return Pose(
@@ -65,7 +66,8 @@ class TfFrames:
 
     def _known(self) -> list[str]:
         """Return the frames that are connected to ``table``."""
-        received = yaml.safe_load(self._buffer.all_frames_as_yaml()) or {}
+        # This loader leaves every name a string, also a name that looks like a number.
+        received = yaml.load(self._buffer.all_frames_as_yaml(), Loader=yaml.BaseLoader) or {}
         names = set(received) | {entry["parent"] for entry in received.values()}
         connected = (n for n in names - {TABLE} if self._buffer.can_transform(TABLE, n, Time()))
         return sorted(connected)

@@ -15,6 +15,7 @@ from tapping_cell.logic.goal_validation import Refused, read_goal, read_toleranc
 from tapping_cell.logic.poses import from_message, to_message
 from tapping_cell.messages import ErrorCode, Point, PoseStamped, Quaternion, Time
 from tapping_cell.messages import Pose as PoseMessage
+from tapping_cell.planning import PlannerSettings
 from tapping_cell.se2 import Pose
 
 Numbers = tuple[float, ...]
@@ -181,6 +182,28 @@ def test_a_goal_that_is_not_flat_on_the_table_in_its_frame_is_refused() -> None:
     assert isinstance(lifted, Refused) and "20.00 mm in 'table'" in lifted.sentence
 
 
+class NoLookup:
+    """Frame lookup that must not be used."""
+
+    def in_table(self, frame: str, stamp: Time) -> PoseMessage:
+        raise AssertionError("the frame was looked up")
+
+
+@pytest.mark.parametrize("frame", ["table", "fixture"])
+@given(
+    sec=st.integers(-(2**31), -1),
+    nanosec=st.integers(0, 10**9 - 1),
+)
+def test_a_negative_stamp_is_refused_before_the_frame_is_looked_up(
+    frame: str, sec: int, nanosec: int
+) -> None:
+    message = spoiled(header__frame_id=frame)
+    message.header.stamp = Time(sec=sec, nanosec=nanosec)
+    refused = read_goal(message, NOW, NoLookup())
+    assert isinstance(refused, Refused) and refused.code == ErrorCode.GOAL_STALE
+    assert "negative" in refused.sentence
+
+
 def test_an_unknown_frame_is_refused_with_the_list_of_known_frames() -> None:
     message = goal_message()
     message.header.frame_id = "fixtrue"
@@ -199,6 +222,23 @@ def test_tolerances_are_the_defaults_of_the_cell_or_valid_values(
         return
     assert found[0] == (position or 0.001) and found[1] == (angle or 0.017)
     assert all(value >= 5e-5 for value in found)
+    PlannerSettings(tolerance_position=found[0], tolerance_angle=found[1])
+
+
+@pytest.mark.parametrize(
+    ("position", "angle", "words"),
+    [
+        (0.2, 0.0, ("position tolerance is 0.2 m", "at most 0.1 m")),
+        (0.0, math.pi, ("angle tolerance is 3.14159 rad", "at most 1.5 rad")),
+        (1e-5, 0.0, ("position tolerance is 1e-05 m", "5e-05 m")),
+    ],
+)
+def test_a_tolerance_out_of_range_is_refused_with_its_limits(
+    position: float, angle: float, words: Sequence[str]
+) -> None:
+    refused = read_tolerance(position, angle, (0.001, 0.017))
+    assert isinstance(refused, Refused) and refused.code == ErrorCode.GOAL_BAD_TOLERANCE
+    assert all(word in refused.sentence for word in words)
 
 
 @given(x=st.floats(-1, 1), y=st.floats(-1, 1), theta=st.floats(-3.1, 3.1))

@@ -3,13 +3,19 @@ and no tap is planned before the table has been searched."""
 
 from __future__ import annotations
 
+import math
+
+import pytest
 from test_planner_with_played_devices import Actors
 
+from tapping_cell.configuration.cell import load_cell
 from tapping_cell.logic.clock import Now
 from tapping_cell.logic.other_objects import OtherObjects
 from tapping_cell.logic.peer_clock import PeerClock
+from tapping_cell.logic.poses import to_message
 from tapping_cell.messages import (
     ErrorCode,
+    ObjectState,
     ObjectStates,
     PlanState,
     Point32,
@@ -109,3 +115,48 @@ def test_outlines_are_areas_and_a_moved_one_counts_as_moved() -> None:
         ObjectStates(unknown_objects=[square_at(0.12, 0.0)], unknown_searched_at=stamp), clock, now
     )
     assert others.moved_since(before, now)
+
+
+@pytest.mark.parametrize(
+    "corners",
+    [
+        [],
+        [(0.1, 0.0), (0.2, 0.0)],
+        [(0.1, 0.0), (0.2, 0.0), (math.nan, 0.1)],
+        [(0.1, 0.0), (math.inf, 0.0), (0.2, 0.1)],
+    ],
+)
+def test_an_outline_that_bounds_no_area_is_skipped(corners: list[tuple[float, float]]) -> None:
+    others, clock, now = OtherObjects((), 5.0, 0.002), PeerClock(), Now(10.0, 10_000_000_000)
+    stamp = Time(sec=10)
+    outline = Polygon(points=[Point32(x=x, y=y) for x, y in corners])
+    message = ObjectStates(
+        unknown_objects=[outline, square_at(0.1, 0.0)], unknown_searched_at=stamp
+    )
+    others.on_objects(message, clock, now)
+    (area,) = others.unknown
+    assert float(area.distance([0.1, 0.0])) < 0.0
+
+
+def test_a_goal_goes_on_after_an_empty_outline() -> None:
+    actors = Searching(Polygon())
+    actors.send(GOAL)
+    assert actors.ended().state == PlanState.REACHED
+    assert actors.reported_errors() == []
+
+
+@pytest.mark.parametrize(
+    "wrong", [(math.nan, 0.0, 0.0), (0.0, math.inf, 0.0), (0.0, 0.0, math.nan)]
+)
+def test_a_pose_that_is_not_finite_is_no_observation(wrong: tuple[float, float, float]) -> None:
+    file = load_cell().object
+    others, clock, now = OtherObjects((file,), 5.0, 0.002), PeerClock(), Now(10.0, 10_000_000_000)
+    message = ObjectState(object_id=file.name, visible=True)
+    message.pose.pose = to_message(Pose(*wrong))
+    others.on_object(message, clock, now)
+    assert others.areas(now) == (None,)
+    message = ObjectState(object_id=file.name, visible=True)
+    message.pose.pose = to_message(Pose(0.1, 0.0, 0.0))
+    others.on_object(message, clock, now)
+    (area,) = others.areas(now)
+    assert area is not None and float(area.distance([0.1, 0.0])) < 0.0

@@ -4,10 +4,12 @@ goal can be read."""
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
 import pytest
+from test_planner_with_played_devices import FAST, Actors
 
 from tapping_cell.configuration.cell import load_cell
 from tapping_cell.logic.clock import Now
@@ -17,7 +19,18 @@ from tapping_cell.logic.host import Activated, Configured
 from tapping_cell.logic.other_objects import OtherObjects
 from tapping_cell.logic.planner import PlannerLogic, State
 from tapping_cell.logic.planner_settings import PlannerSettings
-from tapping_cell.messages import ArmState, Bool, ErrorCode, PoseStamped, TapperState
+from tapping_cell.logic.poses import to_message
+from tapping_cell.messages import (
+    ArmState,
+    Bool,
+    ConfirmTap,
+    ErrorCode,
+    PlanState,
+    PoseStamped,
+    PositionObject,
+    TapperState,
+)
+from tapping_cell.se2 import Pose
 
 GOAL = {
     "goal": [0.01, 0.02, 0.3],
@@ -27,6 +40,7 @@ GOAL = {
     "object_id": "",
     "ask": True,
 }
+FAR = Pose(0.08, 0.02, 0.25)
 NOW = Now(100.0, 1_800_000_000_000_000_000)
 
 
@@ -64,6 +78,79 @@ def test_a_goal_is_resumed() -> None:
     assert logic.last.ask, "its taps are asked for as before"
     kept = [effect.content for effect in made if isinstance(effect, KeepGoal)]
     assert kept[0] is None and kept[-1] is not None, "kept again for the next crash"
+
+
+@pytest.mark.parametrize(("more", "taps"), [({}, 0), ({"taps": 5}, 5)])
+def test_a_resumed_goal_counts_the_taps_before_the_crash(more: dict[str, Any], taps: int) -> None:
+    logic, made = started({**GOAL, **more})
+    assert logic.last.taps == taps
+    kept = [effect.content for effect in made if isinstance(effect, KeepGoal)]
+    assert kept[-1] is not None and kept[-1]["taps"] == taps, "also after the next crash"
+
+
+def test_the_number_of_taps_counts_over_a_crash() -> None:
+    actors = Actors()
+    actors.send()
+    for _ in range(2):
+        actors.wait(actors.taps, "a tap")
+        actors.process.kill()
+        actors.process.start()
+    end = actors.end()
+    assert end.state == PlanState.REACHED
+    assert end.taps == len(actors.taps())
+
+
+def test_the_limit_of_taps_holds_over_crashes() -> None:
+    actors = Actors(replace(FAST, attempts=100))
+    actors.moves_when_fired = False
+    asked = PositionObject.Goal(goal_pose=PoseStamped(pose=to_message(FAR)), max_taps=4)
+    asked.goal_pose.header.frame_id = "table"
+    actors.wait(lambda: actors.states, "the planner is up")
+    actors.run(0.3)
+    actors.process.request("position_object", asked, 1, lambda _: None)
+    for crash in range(1, 4):
+        actors.wait(lambda crash=crash: len(actors.taps()) == crash, "a tap")
+        actors.process.kill()
+        actors.process.start()
+    end = actors.end()
+    assert end.error_code == ErrorCode.TAP_LIMIT_REACHED
+    assert end.taps == len(actors.taps()) == 4
+    assert "after 4 of at most 4 taps" in end.error_msg
+
+
+def test_a_tap_that_was_not_fired_is_not_counted_after_a_crash() -> None:
+    actors = Actors(replace(FAST, ask=True))
+    actors.tapper_answers = TapperState.NOT_FIRED
+    kept = actors.process.disk
+
+    def confirm() -> None:
+        actors.wait(lambda: actors.plans[-1].state == PlanState.CONFIRMING, "a proposed tap")
+        tap_id = actors.plans[-1].planned_tap.tap_id
+        actors.call("confirm_tap", ConfirmTap.Request(tap_id=tap_id, confirm=True))
+
+    actors.send()
+    confirm()
+    actors.wait(actors.taps, "a tap")
+    assert kept.goal is not None and kept.goal["taps"] == 1, "its outcome is not known yet"
+    actors.wait(lambda: actors.plans[-1].state == PlanState.SETTLING, "the outcome")
+    actors.wait(lambda: actors.plans[-1].state == PlanState.CONFIRMING, "another plan of the tap")
+    assert kept.goal is not None and kept.goal["taps"] == 0
+    actors.process.kill()
+    actors.tapper_answers = TapperState.FIRED
+    actors.process.start()
+    actors.run(2.0)
+    confirm()
+    end = actors.end()
+    assert end.state == PlanState.REACHED and end.taps == 1
+
+
+def test_a_goal_whose_taps_cannot_be_stored_is_not_resumed() -> None:
+    actors = Actors()
+    actors.send()
+    actors.wait(lambda: actors.plans[-1].state == PlanState.LOOKING, "an observation")
+    actors.process.disk.full = True
+    actors.wait(actors.taps, "a tap")
+    assert actors.process.disk.goal is None
 
 
 def test_a_goal_sent_before_the_resumption_replaces_it() -> None:
@@ -145,8 +232,11 @@ def test_an_old_goal_is_not_resumed() -> None:
         {**GOAL, "max_taps": "many"},
         {**GOAL, "max_taps": 10**400},
         {**GOAL, "time_left": None},
+        {**GOAL, "taps": "some"},
+        {**GOAL, "taps": -1},
+        {**GOAL, "taps": 21},
     ],
-    ids=range(10),
+    ids=range(13),
 )
 def test_stored_content_without_a_goal_is_discarded(content: dict[str, Any]) -> None:
     logic, made = started(content)

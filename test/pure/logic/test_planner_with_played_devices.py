@@ -574,6 +574,25 @@ def test_a_tap_left_by_a_crashed_planner_is_withdrawn(actors: Actors) -> None:
     assert actors.end().state == PlanState.REACHED
 
 
+@pytest.mark.parametrize("wrong", [3_000_000_000, 2**64 - 1])
+def test_a_tap_id_that_arm_and_tapper_would_refuse_does_not_count(
+    actors: Actors, wrong: int
+) -> None:
+    actors.tap = TapCommand(tap_id=wrong)
+    actors.send()
+    assert actors.end().state == PlanState.REACHED
+    clock = actors.stamp().sec
+    assert actors.taps() and all(tap.tap_id <= clock for tap in actors.taps())
+
+
+def test_the_next_tap_id_is_above_a_greater_id_of_arm_or_tapper(actors: Actors) -> None:
+    greater = actors.stamp().sec + 1000
+    actors.tap = TapCommand(tap_id=greater)
+    actors.send()
+    assert actors.end().state == PlanState.REACHED
+    assert actors.taps()[0].tap_id == greater + 1
+
+
 def test_a_lost_withdrawal_is_repeated(actors: Actors) -> None:
     actors.lost_withdrawals = 1
     actors.send()
