@@ -266,7 +266,7 @@ class DeviceLogic(ABC, Generic[State, Event]):
     def on_answer(self, token: Token, response: Message | None, now: Now) -> Sequence[Effect]:
         """Handle the answer to a call."""
         if isinstance(token, tuple) and token[0] == "reset":
-            self._levels_received(token[1], response, now)
+            self._levels_received(token[1], token[2], response, now)
         else:
             self._handle_answer(token, response, now)
         return self._drain(now)
@@ -397,18 +397,19 @@ class DeviceLogic(ABC, Generic[State, Event]):
         elif not self._configured:
             self._answer(token, False, self._error[1])
         elif self._stops.stopped:
-            self._stops.begin_reset()
-            self._effects.append(AskStops(("reset", token)))
+            self._effects.append(AskStops(("reset", token, self._stops.begin_reset(now))))
         elif self._healthy():
             self._answer(token, True, "there is no fault to clear")
         else:
             self._clear_granted(token, now)
 
-    def _levels_received(self, token: Token, levels: StopLevels | None, now: Now) -> None:
+    def _levels_received(
+        self, token: Token, reset: stops.ResetRequest, levels: StopLevels | None, now: Now
+    ) -> None:
         if not self._configured or not self._stops.stopped:
             self._answer(token, False, "the node's state changed meanwhile; call the service again")
             return
-        refusal = self._stops.try_reset(levels, now)
+        refusal = self._stops.try_reset(reset, levels, now)
         if refusal:
             self._log(LogLevel.WARNING, refusal)
             self._answer(token, False, refusal)

@@ -492,6 +492,40 @@ def test_a_stop_source_lost_while_active_requires_a_confirmation(cell: Cell) -> 
     cell.wait_state(ArmState.NOT_HOMED)
 
 
+def test_a_second_request_to_clear_before_the_first_is_answered_is_no_confirmation(
+    cell: Cell,
+) -> None:
+    cell.network.publish("panel", "emergency_stop", Bool(data=True))
+    cell.wait_state(ArmState.STOPPED)
+    cell.network.leave("panel")
+    cell.run(0.5)
+    cell.ask("~/clear_fault")
+    cell.run(0.1)
+    second = cell.call("~/clear_fault")
+    assert not second.success and "disappeared without releasing it" in second.message
+    assert cell.last.state == ArmState.STOPPED
+    assert cell.call("~/clear_fault").success
+    cell.wait_state(ArmState.NOT_HOMED)
+
+
+def test_a_restart_does_not_replace_the_confirmation_of_a_vanished_stop_source(cell: Cell) -> None:
+    """After the restart, another panel publishes its level False."""
+    cell.network.publish("panel", "emergency_stop", Bool(data=True))
+    cell.wait_state(ArmState.STOPPED)
+    cell.network.leave("panel")
+    cell.process.kill()
+    cell.process.start()
+    cell.run(3.0)
+    cell.wait_state(ArmState.STOPPED)
+    cell.publish("emergency_stop", Bool(data=False))
+    cell.run(0.1)
+    first = cell.call("~/clear_fault")
+    assert not first.success and "restarted" in first.message
+    assert cell.last.state == ArmState.STOPPED
+    assert cell.call("~/clear_fault").success
+    cell.wait_state(ArmState.NOT_HOMED)
+
+
 def test_a_stop_published_before_the_node_started_prevents_homing() -> None:
     cell = Cell(started=False)
     cell.publish("emergency_stop", Bool(data=True))
