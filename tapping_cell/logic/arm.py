@@ -191,6 +191,7 @@ class ArmOptions:
 class ArmLogic(DeviceLogic[State, Event]):
     """See the module's docstring. The arm is moved only by jobs (``arm_jobs``) of this machine."""
 
+    stopped_state = S.STOPPED
     stop_error = (
         ErrorCode.ARM_STOPPED,
         "the arm was stopped; make the cell safe, clear the stop, then home the arm",
@@ -801,6 +802,7 @@ class ArmLogic(DeviceLogic[State, Event]):
             clear_of_camera=self._clear_of_camera,
             set_up=self._options.set_up,
             enabled=self._is_key_held(now),
+            last_stop=self._last_stop,
             error_code=code,
             error_msg=sentence,
         )

@@ -38,7 +38,7 @@ from tapping_cell.logic.host import (
 )
 from tapping_cell.logic.tap_commands import CodedError
 from tapping_cell.logic.transitions import StateMachine
-from tapping_cell.messages import ErrorCode, StopState, Trigger
+from tapping_cell.messages import ErrorCode, StopState, Time, Trigger
 
 FIRST_TIMEOUT_S = 1.0
 """Timeout of the first attempt to open a port and receive a reply."""
@@ -74,6 +74,7 @@ class DeviceLogic(ABC, Generic[State, Event]):
     """
 
     stop_error: CodedError
+    stopped_state: State
 
     def __init__(self, machine: StateMachine[State, Event], tick_period: float) -> None:
         self.tick_period = tick_period
@@ -90,6 +91,9 @@ class DeviceLogic(ABC, Generic[State, Event]):
         self._reading: int | None = None
         self._read_at = -1.0
         self._published: tuple[object, ...] | None = None
+        self._was_stopped = False
+        self._last_stop = Time()
+        """ROS time at which the stopped state was last entered; 0: never."""
 
     # Public properties
 
@@ -365,6 +369,10 @@ class DeviceLogic(ABC, Generic[State, Event]):
 
     def _drain(self, now: Now) -> Sequence[Effect]:
         """Return the collected effects, and the state message if the state changed."""
+        stopped = self.state is self.stopped_state
+        if stopped and not self._was_stopped:
+            self._last_stop = to_stamp(now.ros)
+        self._was_stopped = stopped
         content = self._urgent_content(now)
         if content != self._published:
             self._published = content

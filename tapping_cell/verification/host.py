@@ -54,8 +54,6 @@ START_S = (0.4, 2.5)
 """Range of the time from the start of a process to its first attempt to configure."""
 RETRY_S = 1.0
 """Time between two attempts to configure."""
-QUEUE = 10
-"""Queue depth of a topic while the process is frozen; older messages are lost."""
 
 
 def copy_of(value: Any) -> Any:
@@ -327,7 +325,7 @@ class Process:
             return
         self._inbox.append((topic, lambda: self._take(topic, message)))
         waiting = [place for place, (name, _) in enumerate(self._inbox) if name == topic]
-        if len(waiting) > QUEUE:
+        if len(waiting) > self._network.depth(topic):
             del self._inbox[waiting[0]]
 
     def _take(self, topic: str, message: Any) -> None:

@@ -214,6 +214,13 @@ MUTANTS: tuple[Mutant, ...] = (
         "if False:",
     ),
     Mutant(
+        "does not notice a stop that was cleared while the planner was frozen",
+        "tapping_cell.logic.cell_monitor",
+        "if before is None or stamp in (0, before):",
+        "if True:",
+        kinds=("freeze", "stop and reset", "stop and reset"),
+    ),
+    Mutant(
         "an outdated job changes the state",
         "tapping_cell.logic.device",
         "        elif event.job == self._job:\n            self._job = None\n",
