@@ -742,6 +742,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         self._halting = False
         self._tap_id = 0
         self._reading_kept = None
+        self._scene = None  # a late withdrawal must not move the arm after the stop was cleared
         self._machine.move(Event.STOP, S.STOPPED)
         self._set_error(*self.stop_error)
         if self._configured:
@@ -754,7 +755,7 @@ class ArmLogic(DeviceLogic[State, Event]):
     def _fail_to(self, target: State) -> None:
         self._overtake()
         self._halting = False
-        self._reading_kept = None
+        self._reading_kept = self._scene = None
         self._machine.move(Event.FAILED, target)
 
     def _healthy(self) -> bool:
