@@ -123,7 +123,12 @@ TABLE = table(
     [
         ((S.DISCONNECTED,), Event.CONNECTED, (S.NOT_HOMED, S.IDLE, S.INACTIVE)),
         ((S.NOT_HOMED, S.IDLE, S.INACTIVE), Event.ACTIVATED, (S.NOT_HOMED, S.IDLE)),
-        (UNSTOPPED, Event.DEACTIVATED, (S.INACTIVE,)),
+        # A fault lasts until it is cleared, as a stop does.
+        (
+            tuple(state for state in UNSTOPPED if state is not S.FAULT),
+            Event.DEACTIVATED,
+            (S.INACTIVE,),
+        ),
         ((S.NOT_HOMED, S.IDLE), Event.HOME, (S.HOMING,)),
         ((S.HOMING,), Event.HOMED, (S.IDLE,)),
         ((S.IDLE,), Event.TAP, (S.PLACING,)),
@@ -720,7 +725,7 @@ class ArmLogic(DeviceLogic[State, Event]):
             self._begin_homing(now)
 
     def _deactivated(self, now: Now) -> None:
-        if self._stops.stopped:
+        if self._stops.stopped or self.state is S.FAULT:
             return
         if self._job is not None:
             # The arm stops at the end of the waypoint move in progress.

@@ -120,6 +120,29 @@ def test_a_late_withdrawal_after_a_stop_or_fault_moves_nothing(fault: bool) -> N
     assert arm.state is arms.State.IDLE
 
 
+@pytest.mark.parametrize("activated_first", [False, True])
+def test_a_fault_outlasts_a_deactivation_until_it_is_cleared(activated_first: bool) -> None:
+    pair = in_position()
+    arm = pair.arm
+    pushed = PARK._replace(shoulder=PARK.shoulder + 0.01)
+    read(pair, PARK, START + 1.0)
+    read(pair, pushed, START + 1.1)
+    read(pair, pushed, START + 1.2)
+    fault = arm.error
+    assert fault[0] == ErrorCode.ARM_POSITION_MISMATCH
+    arm.on_lifecycle(Deactivated(), at(START + 2.0))
+    assert (arm.state, arm.error) == (arms.State.FAULT, fault)
+    if activated_first:
+        arm.on_lifecycle(Activated(), at(START + 3.0))
+        assert (arm.state, arm.error) == (arms.State.FAULT, fault)
+    (clear,) = jobs(arm.on_request("~/clear_fault", Trigger.Request(), 1, at(START + 4.0)))
+    arm.on_job(JobEnded(clear, Reading(False, PARK, False, START + 4.5)), at(START + 4.5))
+    if not activated_first:
+        assert arm.state is arms.State.INACTIVE
+        arm.on_lifecycle(Activated(), at(START + 5.0))
+    assert arm.state is arms.State.NOT_HOMED
+
+
 def test_an_unreachable_strike_pose_is_not_a_fault() -> None:
     pair = in_position()
     arm, here = pair.arm, Reading(True, Joints(*CELL.file.arm.park), False, START)
