@@ -440,6 +440,8 @@ class Process:
         elif isinstance(effect, TouchGoal):
             self.disk.goal_touched = self._scheduler.now
         elif isinstance(effect, KeepStop):
+            if effect.content is None:
+                self._stop_publishers.clear()
             self.disk.stop = effect.content
         elif isinstance(effect, Feedback):
             pass
@@ -452,8 +454,6 @@ class Process:
         answer = StopLevels(
             any(level.data for level in levels.values()), tuple(sorted(levels)), absent
         )
-        if not answer.asserted:
-            self._stop_publishers.clear()
         self._when_awake(lambda: self._handle(self.logic.on_answer, token, answer))
 
     # Start of the node, and timer events
