@@ -210,7 +210,7 @@ MUTANTS: tuple[Mutant, ...] = (
     Mutant(
         "clears a stop that was pressed during the request to clear",
         "tapping_cell.logic.stops",
-        "if self._received != self._asked:",
+        "if self._received != request.stops:",
         "if False:",
     ),
     Mutant(
