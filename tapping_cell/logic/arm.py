@@ -123,7 +123,12 @@ TABLE = table(
     [
         ((S.DISCONNECTED,), Event.CONNECTED, (S.NOT_HOMED, S.IDLE, S.INACTIVE)),
         ((S.NOT_HOMED, S.IDLE, S.INACTIVE), Event.ACTIVATED, (S.NOT_HOMED, S.IDLE)),
-        (UNSTOPPED, Event.DEACTIVATED, (S.INACTIVE,)),
+        # A fault lasts until it is cleared, as a stop does.
+        (
+            tuple(state for state in UNSTOPPED if state is not S.FAULT),
+            Event.DEACTIVATED,
+            (S.INACTIVE,),
+        ),
         ((S.NOT_HOMED, S.IDLE), Event.HOME, (S.HOMING,)),
         ((S.HOMING,), Event.HOMED, (S.IDLE,)),
         ((S.IDLE,), Event.TAP, (S.PLACING,)),
@@ -191,6 +196,7 @@ class ArmOptions:
 class ArmLogic(DeviceLogic[State, Event]):
     """See the module's docstring. The arm is moved only by jobs (``arm_jobs``) of this machine."""
 
+    stopped_state = S.STOPPED
     stop_error = (
         ErrorCode.ARM_STOPPED,
         "the arm was stopped; make the cell safe, clear the stop, then home the arm",
@@ -724,7 +730,7 @@ class ArmLogic(DeviceLogic[State, Event]):
             self._begin_homing(now)
 
     def _deactivated(self, now: Now) -> None:
-        if self._stops.stopped:
+        if self._stops.stopped or self.state is S.FAULT:
             return
         if self._job is not None:
             # The arm stops at the end of the waypoint move in progress.
@@ -746,6 +752,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         self._halting = False
         self._tap_id = 0
         self._reading_kept = None
+        self._scene = None  # a late withdrawal must not move the arm after the stop was cleared
         self._machine.move(Event.STOP, S.STOPPED)
         self._set_error(*self.stop_error)
         if self._configured:
@@ -758,7 +765,7 @@ class ArmLogic(DeviceLogic[State, Event]):
     def _fail_to(self, target: State) -> None:
         self._overtake()
         self._halting = False
-        self._reading_kept = None
+        self._reading_kept = self._scene = None
         self._machine.move(Event.FAILED, target)
 
     def _healthy(self) -> bool:
@@ -806,6 +813,7 @@ class ArmLogic(DeviceLogic[State, Event]):
             clear_of_camera=self._clear_of_camera,
             set_up=self._options.set_up,
             enabled=self._is_key_held(now),
+            last_stop=self._last_stop,
             error_code=code,
             error_msg=sentence,
         )

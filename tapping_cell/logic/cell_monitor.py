@@ -5,11 +5,18 @@ from __future__ import annotations
 import math
 
 from tapping_cell.logic import enabling
-from tapping_cell.logic.clock import Now
+from tapping_cell.logic.clock import Now, to_nanoseconds
 from tapping_cell.logic.device import LONGEST_TIMEOUT_S
 from tapping_cell.logic.peer_clock import SKEW_LIMIT_S, PeerClock, skewed_clock
 from tapping_cell.logic.poses import from_message
-from tapping_cell.messages import ArmState, ErrorCode, ObjectState, ObjectStates, TapperState
+from tapping_cell.messages import (
+    ArmState,
+    ErrorCode,
+    ObjectState,
+    ObjectStates,
+    TapperState,
+    Time,
+)
 from tapping_cell.se2 import Pose
 
 CodedError = tuple[int, str]
@@ -50,6 +57,8 @@ class CellMonitor:
         self.camera_clock = self._clocks["object"]
         self._received = {name: -math.inf for name in NAMES}
         self._seen_at: dict[str, float] = {}
+        self._last_stops: dict[str, int] = {}
+        """Time (ns) of the last stop that arm and tapper have reported; 0: none yet."""
 
     @property
     def object(self) -> ObjectState | None:
@@ -100,17 +109,29 @@ class CellMonitor:
             seen = self.camera_clock.to_steady(state.header.stamp, now)
             self._seen_at[name] = max(self._seen_at.get(name, -math.inf), seen)
 
-    def on_arm(self, message: ArmState, now: Now) -> None:
-        """Process ``arm_state``."""
+    def on_arm(self, message: ArmState, now: Now) -> CodedError | None:
+        """Process ``arm_state``. Return the error of a stop since the last message, or None."""
         self.arm = message
         self._received["arm"] = now.steady
         self._clocks["arm"].receive(message.header.stamp, now)
+        return self._new_stop("arm", ErrorCode.ARM_STOPPED, message.last_stop)
 
-    def on_tapper(self, message: TapperState, now: Now) -> None:
-        """Process ``tapper_state``."""
+    def on_tapper(self, message: TapperState, now: Now) -> CodedError | None:
+        """Process ``tapper_state``. Return the error of a stop since the last message, or None."""
         self.tapper = message
         self._received["tapper"] = now.steady
         self._clocks["tapper"].receive(message.header.stamp, now)
+        return self._new_stop("tapper", ErrorCode.TAPPER_STOPPED, message.last_stop)
+
+    def _new_stop(self, name: str, code: int, last_stop: Time) -> CodedError | None:
+        """Return the error of a stop since the last message, even if the messages with the state
+        STOPPED were missed. A restarted node reports no time until it is stopped again."""
+        stamp = to_nanoseconds(last_stop)
+        before = self._last_stops.get(name)
+        self._last_stops[name] = stamp or before or 0
+        if before is None or stamp in (0, before):
+            return None
+        return code, f"the {name} was stopped; make the cell safe, then send the goal again"
 
     def silent(self, name: str, now: Now) -> bool:
         """Return whether the message timeout of ``object``, ``arm`` or ``tapper`` has passed."""

@@ -39,7 +39,7 @@ from tapping_cell.logic.host import (
 )
 from tapping_cell.logic.tap_commands import CodedError
 from tapping_cell.logic.transitions import StateMachine
-from tapping_cell.messages import ErrorCode, StopState, Trigger
+from tapping_cell.messages import ErrorCode, StopState, Time, Trigger
 
 FIRST_TIMEOUT_S = 1.0
 """Timeout of the first attempt to open a port and receive a reply."""
@@ -75,6 +75,7 @@ class DeviceLogic(ABC, Generic[State, Event]):
     """
 
     stop_error: CodedError
+    stopped_state: State
 
     def __init__(self, machine: StateMachine[State, Event], tick_period: float) -> None:
         self.tick_period = tick_period
@@ -91,6 +92,9 @@ class DeviceLogic(ABC, Generic[State, Event]):
         self._reading: int | None = None
         self._read_at = -1.0
         self._published: tuple[object, ...] | None = None
+        self._was_stopped = False
+        self._last_stop = Time()
+        """ROS time at which the stopped state was last entered; 0: never."""
 
     # Public properties
 
@@ -267,7 +271,7 @@ class DeviceLogic(ABC, Generic[State, Event]):
     def on_answer(self, token: Token, response: Message | None, now: Now) -> Sequence[Effect]:
         """Handle the answer to a call."""
         if isinstance(token, tuple) and token[0] == "reset":
-            self._levels_received(token[1], response, now)
+            self._levels_received(token[1], token[2], response, now)
         else:
             self._handle_answer(token, response, now)
         return self._drain(now)
@@ -375,6 +379,10 @@ class DeviceLogic(ABC, Generic[State, Event]):
 
     def _drain(self, now: Now) -> Sequence[Effect]:
         """Return the collected effects, and the state message if the state changed."""
+        stopped = self.state is self.stopped_state
+        if stopped and not self._was_stopped:
+            self._last_stop = to_stamp(now.ros)
+        self._was_stopped = stopped
         content = self._urgent_content(now)
         if content != self._published:
             self._published = content
@@ -407,18 +415,19 @@ class DeviceLogic(ABC, Generic[State, Event]):
         elif not self._configured:
             self._answer(token, False, self._error[1])
         elif self._stops.stopped:
-            self._stops.begin_reset()
-            self._effects.append(AskStops(("reset", token)))
+            self._effects.append(AskStops(("reset", token, self._stops.begin_reset(now))))
         elif self._healthy():
             self._answer(token, True, "there is no fault to clear")
         else:
             self._clear_granted(token, now)
 
-    def _levels_received(self, token: Token, levels: StopLevels | None, now: Now) -> None:
+    def _levels_received(
+        self, token: Token, reset: stops.ResetRequest, levels: StopLevels | None, now: Now
+    ) -> None:
         if not self._configured or not self._stops.stopped:
             self._answer(token, False, "the node's state changed meanwhile; call the service again")
             return
-        refusal = self._stops.try_reset(levels, now)
+        refusal = self._stops.try_reset(reset, levels, now)
         if refusal:
             self._log(LogLevel.WARNING, refusal)
             self._answer(token, False, refusal)

@@ -310,6 +310,7 @@ class PlannerLogic:
 
     def on_message(self, topic: str, message: Message, now: Now) -> Sequence[Effect]:
         """Handle a message."""
+        stop: CodedError | None = None
         if topic == "goal_pose":
             self._on_goal(Request(message), now)
         elif topic == "object_state":
@@ -324,17 +325,21 @@ class PlannerLogic:
                 clock = self._monitor.camera_clock
                 self.goals.other_objects.on_object(message, clock, now)
         elif topic == "arm_state":
-            self._monitor.on_arm(message, now)
+            stop = self._monitor.on_arm(message, now)
             self._note_position()
         elif topic == "tapper_state":
-            self._monitor.on_tapper(message, now)
+            stop = self._monitor.on_tapper(message, now)
             self._note_outcome(now)
         elif topic == "emergency_stop" and message.data:
             self._stop_reported = EMERGENCY_STOP
             if self._task is not None:
                 self._fail(*EMERGENCY_STOP, now)
         if topic != "goal_pose":
-            self._stop_reported = self._stop_reported or self._monitor.fault()
+            # A stop may have been cleared already if this process was suspended meanwhile.
+            stop = self._monitor.fault() or stop
+            self._stop_reported = self._stop_reported or stop
+            if stop is not None and self._task is not None:
+                self._fail(*stop, now)
             self._advance(now)
         return self._drain()
 

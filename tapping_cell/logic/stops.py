@@ -4,13 +4,15 @@ True on the topic ``emergency_stop`` stops immediately and latches the stop. Fal
 the publisher no longer asserts its stop; the latch remains until an operator resets it with
 ``clear_fault``. A message does not identify its publisher, so a reset queries every publisher again
 and is refused if any publisher still asserts the stop. A publisher that has vanished, or that does
-not repeat its level, cannot be queried: a person must inspect the cell and confirm by requesting
-the reset a second time. A new stop cancels the confirmation.
+not repeat its level, cannot be queried, and a restarted node does not know which publishers have
+asserted the stop: a person must then inspect the cell and confirm by requesting the reset again
+after the refusal. A new stop cancels the confirmation.
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 from tapping_cell.logic.clock import Now
 from tapping_cell.logic.effects import Content, StopLevels
@@ -19,8 +21,18 @@ TOPIC = "emergency_stop"
 SERVICE = "service stop"
 RESTART = "a stop before the restart"
 CONFIRM_WITHIN_S = 30.0
-"""Time, s, after a refused reset request within which a second request counts as the operator's
+"""Time, s, after the refusal of a reset within which another request counts as the operator's
 confirmation that the cell is safe."""
+
+
+@dataclass(frozen=True, slots=True)
+class ResetRequest:
+    """A request to reset the latch, while the publishers are queried for their levels."""
+
+    stops: int
+    """Number of stops received before the request."""
+    confirms: bool
+    """Whether the request is the operator's confirmation, because it was made after a refusal."""
 
 
 class StopLatch:
@@ -29,8 +41,10 @@ class StopLatch:
     def __init__(self) -> None:
         self._sources: list[str] = []
         self._asserted = False
+        self._publishers_unknown = False
+        """Whether a stop of ``emergency_stop`` was latched by an earlier process of this node, so
+        that its publishers are not known. Only a reset ends this doubt."""
         self._received = 0
-        self._asked = 0
         self._confirm_until = -math.inf
 
     @property
@@ -62,7 +76,11 @@ class StopLatch:
             return
         sources = content.get("sources")
         names = [str(name) for name in sources] if isinstance(sources, list) else []
-        for name in names or [RESTART]:
+        names = names or [RESTART]
+        # This process may have stored the stop itself, before it was configured.
+        earlier = TOPIC in names and TOPIC not in self._sources
+        self._publishers_unknown = self._publishers_unknown or earlier or RESTART in names
+        for name in names:
             self._add(name)
         self._asserted = self._asserted or content.get("asserted") is not False
 
@@ -82,16 +100,16 @@ class StopLatch:
         self._begin_stop()
         return self._add(source)
 
-    def begin_reset(self) -> None:
+    def begin_reset(self, now: Now) -> ResetRequest:
         """Begin a reset, before the publishers are queried for their levels."""
-        self._asked = self._received
+        return ResetRequest(self._received, now.steady <= self._confirm_until)
 
-    def try_reset(self, levels: StopLevels | None, now: Now) -> str:
+    def try_reset(self, request: ResetRequest, levels: StopLevels | None, now: Now) -> str:
         """Reset the latch if the publishers' levels allow this. Return why the latch was not reset,
         or "" if it was reset."""
         if levels is None:
             return "the publishers of emergency_stop could not be determined; clear the stop again"
-        if self._received != self._asked:
+        if self._received != request.stops:
             return "a stop occurred during clear_fault; " + self.advice()
         if levels.asserted:
             self._asserted = True
@@ -101,14 +119,14 @@ class StopLatch:
                 " Release it there, then clear the stop again"
             )
         doubt = self._doubt(levels)
-        if doubt and now.steady > self._confirm_until:
+        if doubt and not request.confirms:
             self._confirm_until = now.steady + CONFIRM_WITHIN_S
             return (
                 f"{doubt}. Go to the cell and make sure that nobody is in danger; then clear"
                 f" the stop again within {CONFIRM_WITHIN_S:.0f} s"
             )
         self._sources.clear()
-        self._asserted = False
+        self._asserted = self._publishers_unknown = False
         self._confirm_until = -math.inf
         return ""
 
@@ -119,6 +137,11 @@ class StopLatch:
                 "it is unknown whether the emergency stop is still pressed, because a publisher"
                 " with volatile durability does not repeat its last message"
                 f" ({', '.join(levels.silent)})"
+            )
+        if self._publishers_unknown:
+            return (
+                "this node was restarted during the emergency stop, so it is unknown whether every"
+                " publisher has released it"
             )
         if self._asserted or levels.gone:
             names = ", ".join(levels.gone) or "name unknown"

@@ -200,6 +200,7 @@ class Permit:
 class TapperLogic(DeviceLogic[State, Event]):
     """See the module's docstring. Only jobs (``tapper_jobs``) of this machine charge and fire."""
 
+    stopped_state = S.STOPPED
     stop_error = (
         ErrorCode.TAPPER_STOPPED,
         "the tapper was stopped; make the cell safe, press the clear button at the tapper, then"
@@ -874,6 +875,7 @@ class TapperLogic(DeviceLogic[State, Event]):
             interlock_closed=reported.interlock_closed,
             set_up=self._set_up,
             enabling_switch=reported.enabling_switch,
+            last_stop=self._last_stop,
             error_code=code,
             error_msg=sentence,
         )

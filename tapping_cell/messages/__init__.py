@@ -217,6 +217,7 @@ class ArmState:
     clear_of_camera: bool = False
     set_up: bool = False
     enabled: bool = False
+    last_stop: Time = field(default_factory=Time)
     tip_pose: Pose = field(default_factory=Pose)
     error_code: int = 0
     error_msg: str = ""
@@ -647,6 +648,7 @@ class TapperState:
     interlock_closed: bool = False
     set_up: bool = False
     enabling_switch: bool = False
+    last_stop: Time = field(default_factory=Time)
     error_code: int = 0
     error_msg: str = ""
 

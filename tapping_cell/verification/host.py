@@ -55,8 +55,6 @@ START_S = (0.4, 2.5)
 """Range of the time from the start of a process to its first attempt to configure."""
 RETRY_S = 1.0
 """Time between two attempts to configure."""
-QUEUE = 10
-"""Queue depth of a topic while the process is frozen; older messages are lost."""
 
 
 def copy_of(value: Any) -> Any:
@@ -333,7 +331,7 @@ class Process:
             return
         self._inbox.append((topic, lambda: self._take(topic, message)))
         waiting = [place for place, (name, _) in enumerate(self._inbox) if name == topic]
-        if len(waiting) > QUEUE:
+        if len(waiting) > self._network.depth(topic):
             del self._inbox[waiting[0]]
 
     def _take(self, topic: str, message: Any) -> None:
@@ -452,6 +450,8 @@ class Process:
         elif isinstance(effect, TouchGoal):
             self.disk.goal_touched = self._scheduler.now
         elif isinstance(effect, KeepStop):
+            if effect.content is None:
+                self._stop_publishers.clear()
             self.disk.stop = effect.content
         elif isinstance(effect, Feedback):
             pass
@@ -464,8 +464,6 @@ class Process:
         answer = StopLevels(
             any(level.data for level in levels.values()), tuple(sorted(levels)), absent
         )
-        if not answer.asserted:
-            self._stop_publishers.clear()
         self._when_awake(lambda: self._handle(self.logic.on_answer, token, answer))
 
     # Start of the node, and timer events

@@ -249,7 +249,11 @@ class InvariantChecker:
     _crashed: tuple[int, float] | None = None
     """Goal that the planner had when its process was killed, and the time of the crash."""
     _stops: set[int] = field(default_factory=set)
-    """Stamps (ns) of the states in which arm and tapper have reported that they are stopped."""
+    """Stamps (ns) of the states that arm and tapper have published since they were stopped during
+    the present goal. Each of these states must tell the planner of the stop, because the planner
+    may miss the other ones."""
+    _stopped: set[str] = field(default_factory=set)
+    """Those of arm and tapper that were stopped during the present goal."""
     _told_to_stop: bool = False
     """Whether the planner's process has received, during its present goal, that the emergency stop
     is pressed or that arm or tapper is stopped."""
@@ -283,8 +287,7 @@ class InvariantChecker:
             self._arm = message.state, message.tap_id
             self._check_reference(message)
             self._check_view(message)
-            if message.state == ArmState.STOPPED:
-                self._stops.add(to_nanoseconds(message.header.stamp))
+            self._note_stop(node, message, message.state == ArmState.STOPPED)
             if message.state == ArmState.IDLE or message.error_code == ErrorCode.NOT_ACTIVE:
                 self._asked_to_move = False
         elif isinstance(message, PlanState) and node == "tap_planner":
@@ -737,11 +740,17 @@ class InvariantChecker:
         elif goal is not None:  # otherwise the crash of an earlier process may still be pending
             self._crashed = goal, self.scheduler.now
 
+    def _note_stop(self, node: str, message: ArmState | TapperState, stopped: bool) -> None:
+        """Process a state of arm or tapper with respect to stops."""
+        if stopped:
+            self._stopped.add(node)
+        if node in self._stopped:
+            self._stops.add(to_nanoseconds(message.header.stamp))
+
     def on_state_received_by_planner(self, message: ArmState | TapperState) -> None:
         """Process a state of arm or tapper that the planner's process received."""
         if self._goal is not None and to_nanoseconds(message.header.stamp) in self._stops:
             self._told_to_stop = True
-            self._stops.clear()
 
     def on_stop_received_by_planner(self) -> None:
         """Process an emergency stop that the planner's process received."""
@@ -761,6 +770,7 @@ class InvariantChecker:
         self._goal = found[-1]
         self._told_to_stop = False
         self._stops.clear()
+        self._stopped.clear()
         if self._goal in self._begun and not self._requests[self._goal][1]:
             crashed = self._crashed
             if crashed is None or crashed[0] != self._goal:
@@ -833,8 +843,7 @@ class InvariantChecker:
 
     def _on_tapper_state(self, message: TapperState) -> None:
         self._report = message
-        if message.state == TapperState.STOPPED:
-            self._stops.add(to_nanoseconds(message.header.stamp))
+        self._note_stop("tapper_trigger", message, message.state == TapperState.STOPPED)
         fired = any(release.shot == message.tap_id for release in self.physical.releases)
         if message.tap_id and message.outcome != TapperState.NONE:
             before = self.outcomes.get(message.tap_id, message.outcome)

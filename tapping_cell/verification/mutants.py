@@ -210,8 +210,15 @@ MUTANTS: tuple[Mutant, ...] = (
     Mutant(
         "clears a stop that was pressed during the request to clear",
         "tapping_cell.logic.stops",
-        "if self._received != self._asked:",
+        "if self._received != request.stops:",
         "if False:",
+    ),
+    Mutant(
+        "does not notice a stop that was cleared while the planner was frozen",
+        "tapping_cell.logic.cell_monitor",
+        "if before is None or stamp in (0, before):",
+        "if True:",
+        kinds=("freeze", "stop and reset", "stop and reset"),
     ),
     Mutant(
         "an outdated job changes the state",

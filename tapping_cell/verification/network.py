@@ -23,9 +23,11 @@ Handle = Callable[[Any, Callable[[Any], None]], None]
 
 @dataclass(slots=True)
 class Quality:
-    """Quality of service of a topic. ``latched``: whether its durability is transient local."""
+    """Quality of service of a topic. ``latched``: whether its durability is transient local.
+    ``depth``: queue depth of a subscription; older messages are lost."""
 
     latched: bool = False
+    depth: int = 10
 
 
 @dataclass(slots=True)
@@ -89,6 +91,10 @@ class Network:
         for link in self._links.get(topic, ()):
             if only in ("", link.subscriber):
                 self._send(link, topic, message)
+
+    def depth(self, topic: str) -> int:
+        """Return the queue depth of a topic's subscriptions."""
+        return self._quality(topic).depth
 
     def end_delay(self, topic: str, towards: str) -> None:
         """End the additional delay of a link."""

@@ -74,15 +74,18 @@ from tapping_cell.verification.physical_cell import PhysicalCell
 from tapping_cell.verification.scheduler import HangError, Scheduler
 from tapping_cell.verification.serial_line import BusyLine, SerialLine
 
+STATE = Quality(latched=True, depth=1)
+"""Quality of service of a state topic: only its last message is kept."""
 QUALITIES = {
-    "arm_state": Quality(latched=True),
-    "tapper_state": Quality(latched=True),
-    "object_state": Quality(latched=True),
-    "object_states": Quality(latched=True),
-    "plan_state": Quality(latched=True),
+    "arm_state": STATE,
+    "tapper_state": STATE,
+    "object_state": STATE,
+    "object_states": STATE,
+    "plan_state": STATE,
+    "markers": STATE,
+    "camera/pose": STATE,
+    # A node also has volatile subscriptions to this topic, whose depth is that of commands.
     "emergency_stop": Quality(latched=True),
-    "markers": Quality(latched=True),
-    "camera/pose": Quality(latched=True),
 }
 SUBSCRIPTIONS = {
     "tap_planner": (

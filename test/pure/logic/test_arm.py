@@ -32,6 +32,7 @@ from tapping_cell.messages import (
     HoldStill,
     JointTrajectory,
     JointTrajectoryPoint,
+    PoseStamped,
     TapCommand,
     TapperState,
     Trigger,
@@ -86,6 +87,60 @@ def test_a_fault_during_a_move_after_a_withdrawal_can_be_cleared() -> None:
     arm.on_job(JobEnded(clear, cleared), at(START + 3.1))
     assert arm.state is arms.State.NOT_HOMED
     assert jobs(arm.on_request("~/home", Trigger.Request(), 2, at(START + 4.0)))
+
+
+@pytest.mark.parametrize("fault", [False, True])
+def test_a_late_withdrawal_after_a_stop_or_fault_moves_nothing(fault: bool) -> None:
+    """The arm was cleared and homed. The withdrawal is of the tap before the stop."""
+    pair = Pair()
+    arm = pair.arm
+    camera = PoseStamped()
+    camera.pose.position.z = 0.6
+    arm.on_message("camera/pose", camera, at(START - 20.0))
+    pair.begin()
+    withdrawal = pair.command(TapCommand.WITHDRAW, at(START))
+    (number,) = jobs(arm.on_message("tap_command", withdrawal, at(START + 1.0)))
+    here = Reading(True, PARK, False, START + 2.0)
+    arm.on_job(JobEnded(number, MotionEnd(True, here)), at(START + 2.0))
+    assert arm.state is arms.State.IDLE
+    if fault:
+        arm.on_defect(RuntimeError("for this test"), at(START + 2.5))
+    else:
+        arm.on_request("~/stop", Trigger.Request(), 1, at(START + 2.5))
+    made = arm.on_request("~/clear_fault", Trigger.Request(), 2, at(START + 3.0))
+    if not fault:
+        (asked,) = (effect for effect in made if isinstance(effect, AskStops))
+        made = arm.on_answer(asked.token, StopLevels(False, (), ()), at(START + 3.5))
+    (clear,) = jobs(made)
+    arm.on_job(JobEnded(clear, Reading(False, PARK, False, START + 4.0)), at(START + 4.0))
+    (home,) = jobs(arm.on_request("~/home", Trigger.Request(), 3, at(START + 5.0)))
+    arm.on_job(JobEnded(home, replace(here, stamp=START + 9.0)), at(START + 9.0))
+    assert arm.state is arms.State.IDLE
+    assert not withdraws(arm.on_message("tap_command", withdrawal, at(START + 10.0)))
+    assert arm.state is arms.State.IDLE
+
+
+@pytest.mark.parametrize("activated_first", [False, True])
+def test_a_fault_outlasts_a_deactivation_until_it_is_cleared(activated_first: bool) -> None:
+    pair = in_position()
+    arm = pair.arm
+    pushed = PARK._replace(shoulder=PARK.shoulder + 0.01)
+    read(pair, PARK, START + 1.0)
+    read(pair, pushed, START + 1.1)
+    read(pair, pushed, START + 1.2)
+    fault = arm.error
+    assert fault[0] == ErrorCode.ARM_POSITION_MISMATCH
+    arm.on_lifecycle(Deactivated(), at(START + 2.0))
+    assert (arm.state, arm.error) == (arms.State.FAULT, fault)
+    if activated_first:
+        arm.on_lifecycle(Activated(), at(START + 3.0))
+        assert (arm.state, arm.error) == (arms.State.FAULT, fault)
+    (clear,) = jobs(arm.on_request("~/clear_fault", Trigger.Request(), 1, at(START + 4.0)))
+    arm.on_job(JobEnded(clear, Reading(False, PARK, False, START + 4.5)), at(START + 4.5))
+    if not activated_first:
+        assert arm.state is arms.State.INACTIVE
+        arm.on_lifecycle(Activated(), at(START + 5.0))
+    assert arm.state is arms.State.NOT_HOMED
 
 
 def test_an_unreachable_strike_pose_is_not_a_fault() -> None:

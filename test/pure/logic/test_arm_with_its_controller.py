@@ -21,6 +21,7 @@ from tapping_cell.logic.arm import ArmLogic, ArmOptions
 from tapping_cell.logic.host import Activated, Deactivated
 from tapping_cell.logic.permit import longest_hold
 from tapping_cell.logic.poses import from_message, to_message
+from tapping_cell.logic.stops import CONFIRM_WITHIN_S
 from tapping_cell.messages import (
     ArmState,
     Bool,
@@ -487,6 +488,54 @@ def test_a_stop_source_lost_while_active_requires_a_confirmation(cell: Cell) -> 
     cell.run(0.5)
     first = cell.call("~/clear_fault")
     assert not first.success and "disappeared without releasing it" in first.message
+    assert cell.last.state == ArmState.STOPPED
+    assert cell.call("~/clear_fault").success
+    cell.wait_state(ArmState.NOT_HOMED)
+
+
+def test_a_vanished_stop_source_is_remembered_until_the_reset(cell: Cell) -> None:
+    """The confirmation came too late, so the second refusal must name the publisher again."""
+    cell.network.publish("panel", "emergency_stop", Bool(data=True))
+    cell.wait_state(ArmState.STOPPED)
+    cell.network.leave("panel")
+    cell.publish("emergency_stop", Bool(data=False))
+    cell.run(0.5)
+    for _ in range(2):
+        refused = cell.call("~/clear_fault")
+        assert not refused.success and "(panel) disappeared" in refused.message
+        cell.run(CONFIRM_WITHIN_S + 1.0)
+    assert cell.last.state == ArmState.STOPPED
+
+
+def test_a_second_request_to_clear_before_the_first_is_answered_is_no_confirmation(
+    cell: Cell,
+) -> None:
+    cell.network.publish("panel", "emergency_stop", Bool(data=True))
+    cell.wait_state(ArmState.STOPPED)
+    cell.network.leave("panel")
+    cell.run(0.5)
+    cell.ask("~/clear_fault")
+    cell.run(0.1)
+    second = cell.call("~/clear_fault")
+    assert not second.success and "disappeared without releasing it" in second.message
+    assert cell.last.state == ArmState.STOPPED
+    assert cell.call("~/clear_fault").success
+    cell.wait_state(ArmState.NOT_HOMED)
+
+
+def test_a_restart_does_not_replace_the_confirmation_of_a_vanished_stop_source(cell: Cell) -> None:
+    """After the restart, another panel publishes its level False."""
+    cell.network.publish("panel", "emergency_stop", Bool(data=True))
+    cell.wait_state(ArmState.STOPPED)
+    cell.network.leave("panel")
+    cell.process.kill()
+    cell.process.start()
+    cell.run(3.0)
+    cell.wait_state(ArmState.STOPPED)
+    cell.publish("emergency_stop", Bool(data=False))
+    cell.run(0.1)
+    first = cell.call("~/clear_fault")
+    assert not first.success and "restarted" in first.message
     assert cell.last.state == ArmState.STOPPED
     assert cell.call("~/clear_fault").success
     cell.wait_state(ArmState.NOT_HOMED)

@@ -33,6 +33,7 @@ from tapping_cell.messages import (
     PositionObject,
     TapCommand,
     TapperState,
+    Time,
 )
 from tapping_cell.se2 import Pose
 
@@ -79,6 +80,7 @@ class Actors(VirtualNode):
         self.taps_out_of_reach = 0
         self.tapper_answers: int | None = TapperState.FIRED
         self.tapper_state = TapperState.SAFE
+        self.last_stops = {"arm": Time(), "tapper": Time()}
         self.tapper_error: tuple[int, str] = (0, "")
         self.commands: list[TapCommand] = []
         self.tap: TapCommand | None = None
@@ -154,6 +156,7 @@ class Actors(VirtualNode):
                 homed=True,
                 clear_of_camera=idle,
                 tip_pose=to_message(self.tip),
+                last_stop=self.last_stops["arm"],
                 error_code=code,
                 error_msg=sentence,
             )
@@ -168,6 +171,7 @@ class Actors(VirtualNode):
                     tap_id=tap_id,
                     outcome=self.outcome,
                     interlock_closed=True,
+                    last_stop=self.last_stops["tapper"],
                     error_code=code,
                     error_msg=sentence,
                 ),
@@ -317,6 +321,45 @@ def test_a_stop_ends_the_goal_at_once_in_every_phase(actors: Actors, phase: int)
     actors.visible = actors.camera_active = actors.arm_arrives = actors.arm_withdraws = True
     actors.run(5.0)
     assert len(actors.taps()) == commanded and actors.plans[-1].state == PlanState.FAILED
+
+
+@pytest.mark.parametrize("device", ["arm", "tapper"])
+@pytest.mark.parametrize(
+    "phase", [PlanState.WAITING_FOR_CELL, PlanState.LOOKING, PlanState.SETTLING]
+)
+def test_a_stop_that_was_cleared_while_the_planner_was_frozen_ends_the_goal(
+    actors: Actors, phase: int, device: str
+) -> None:
+    """The planner receives only the last state of arm and tapper, which no longer is STOPPED."""
+    actors.last_stops = {"arm": Time(sec=5), "tapper": Time(sec=6)}
+    actors.visible = phase != PlanState.LOOKING
+    actors.camera_active = phase != PlanState.WAITING_FOR_CELL
+    actors.arm_withdraws = phase != PlanState.SETTLING
+    actors.run(0.6)
+    actors.send()
+    actors.wait(lambda: actors.plans[-1].state == phase, "the phase")
+    actors.last_stops[device] = Time(sec=7)
+    actors.run(0.2)
+    end, code = actors.plans[-1], getattr(ErrorCode, f"{device.upper()}_STOPPED")
+    assert (end.state, end.error_code) == (PlanState.FAILED, code)
+    commanded = len(actors.taps())
+    actors.visible = actors.camera_active = actors.arm_withdraws = True
+    actors.run(3.0)
+    assert len(actors.taps()) == commanded and actors.plans[-1].state == PlanState.FAILED
+    actors.send()
+    actors.run(0.2)
+    assert actors.plans[-1].state != PlanState.FAILED, "the stop is older than this goal"
+
+
+def test_a_restarted_driver_that_was_not_stopped_ends_no_goal(actors: Actors) -> None:
+    actors.last_stops = {"arm": Time(sec=5), "tapper": Time(sec=6)}
+    actors.visible = False
+    actors.run(0.6)
+    actors.send()
+    actors.wait(lambda: actors.plans[-1].state == PlanState.LOOKING, "the phase")
+    actors.last_stops = {"arm": Time(), "tapper": Time()}
+    actors.run(0.2)
+    assert actors.plans[-1].state == PlanState.LOOKING
 
 
 def test_a_goal_that_is_sent_before_the_stop_is_known_ends_at_once(actors: Actors) -> None:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from types import SimpleNamespace
-from typing import cast
+from typing import Any, cast
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from tapping_cell.hardware.faults import FaultReason, HardwareFault
 from tapping_cell.logic import tapper_jobs
@@ -17,8 +19,9 @@ QUIET = StopLevels(asserted=False, publishers=(), gone=())
 
 
 def reset(latch: StopLatch, levels: StopLevels, steady: float) -> str:
-    latch.begin_reset()
-    return latch.try_reset(levels, Now(steady, 0))
+    """Request a reset, and answer the request at once."""
+    now = Now(steady, 0)
+    return latch.try_reset(latch.begin_reset(now), levels, now)
 
 
 def test_a_confirmation_counts_for_the_stops_before_it_only() -> None:
@@ -39,6 +42,84 @@ def test_a_confirmation_does_not_outlast_its_time() -> None:
     gone = StopLevels(False, (), ("a",))
     assert reset(latch, gone, 10.0)
     assert reset(latch, gone, 10.1 + CONFIRM_WITHIN_S)
+
+
+def test_a_request_made_before_the_refusal_was_answered_is_no_confirmation() -> None:
+    """A double click, or two people at two pages: nobody has read the refusal yet."""
+    latch = StopLatch()
+    latch.receive(True)
+    gone = StopLevels(False, (), ("a",))
+    first, second = latch.begin_reset(Now(10.0, 0)), latch.begin_reset(Now(10.3, 0))
+    assert "(a)" in latch.try_reset(first, gone, Now(10.5, 0))
+    assert "(a)" in latch.try_reset(second, gone, Now(10.8, 0))
+    assert latch.stopped
+    assert reset(latch, gone, 11.0) == ""
+
+
+def test_a_stop_between_two_requests_also_refuses_the_first() -> None:
+    latch = StopLatch()
+    latch.press()
+    first = latch.begin_reset(Now(10.0, 0))
+    latch.press()
+    second = latch.begin_reset(Now(10.2, 0))
+    assert "a stop occurred during clear_fault" in latch.try_reset(first, QUIET, Now(10.5, 0))
+    assert latch.stopped
+    assert latch.try_reset(second, QUIET, Now(10.7, 0)) == ""
+
+
+@pytest.mark.parametrize("released_before", [False, True])
+@given(st.lists(st.booleans(), max_size=4))
+def test_a_stop_of_the_topic_that_outlived_a_restart_requires_a_confirmation(
+    released_before: bool, levels: list[bool]
+) -> None:
+    """The restarted node does not know which publisher asserted the stop, so a False of another
+    publisher, before or after the restart, does not show that the stop was released."""
+    before = StopLatch()
+    before.receive(True)
+    if released_before:
+        before.receive(False)
+    latch = StopLatch()
+    latch.recall(before.content())
+    for level in [*levels, False]:
+        latch.receive(level)
+    assert "restarted" in reset(latch, QUIET, 10.0)
+    assert latch.stopped
+    again = StopLatch()
+    again.recall(latch.content())
+    assert "restarted" in reset(again, QUIET, 10.0)
+    assert reset(latch, QUIET, 11.0) == ""
+    latch.receive(True)
+    latch.receive(False)
+    assert reset(latch, QUIET, 12.0) == "", "the reset has ended the doubt about the old stop"
+
+
+@pytest.mark.parametrize("content", [{}, {"sources": "?"}, {"sources": [], "asserted": False}])
+def test_a_stored_stop_that_cannot_be_read_requires_a_confirmation(content: dict[str, Any]) -> None:
+    latch = StopLatch()
+    latch.recall(content)
+    again = StopLatch()
+    again.recall(latch.content())
+    for each in (latch, again):
+        each.receive(False)
+        assert "restarted" in reset(each, QUIET, 10.0)
+        assert reset(each, QUIET, 11.0) == ""
+
+
+def test_a_stop_of_the_service_needs_no_confirmation_after_a_restart() -> None:
+    before = StopLatch()
+    before.press()
+    latch = StopLatch()
+    latch.recall(before.content())
+    assert reset(latch, QUIET, 10.0) == ""
+
+
+def test_a_stop_received_while_the_node_starts_is_not_one_of_an_earlier_process() -> None:
+    """The node stores the stop before it is configured, and then reads its own file."""
+    latch = StopLatch()
+    latch.receive(True)
+    latch.recall(latch.content())
+    latch.receive(False)
+    assert reset(latch, QUIET, 10.0) == ""
 
 
 def test_a_level_that_is_not_repeated_requires_an_operator_confirmation() -> None:
