@@ -57,8 +57,9 @@ class CellMonitor:
         self.camera_clock = self._clocks["object"]
         self._received = {name: -math.inf for name in NAMES}
         self._seen_at: dict[str, float] = {}
-        self._last_stops: dict[str, int] = {}
-        """Time (ns) of the last stop that arm and tapper have reported; 0: none yet."""
+        self._stops: dict[str, set[int]] = {}
+        """Times (ns) of the stops that arm and tapper have reported; 0 for no stop. They are all
+        kept, because an old message may arrive again."""
 
     @property
     def object(self) -> ObjectState | None:
@@ -127,10 +128,10 @@ class CellMonitor:
         """Return the error of a stop since the last message, even if the messages with the state
         STOPPED were missed. A restarted node reports no time until it is stopped again."""
         stamp = to_nanoseconds(last_stop)
-        before = self._last_stops.get(name)
-        self._last_stops[name] = stamp or before or 0
-        if before is None or stamp in (0, before):
+        known = self._stops.setdefault(name, {0, stamp})
+        if stamp in known:
             return None
+        known.add(stamp)
         return code, f"the {name} was stopped; make the cell safe, then send the goal again"
 
     def silent(self, name: str, now: Now) -> bool:

@@ -216,8 +216,8 @@ MUTANTS: tuple[Mutant, ...] = (
     Mutant(
         "does not notice a stop that was cleared while the planner was frozen",
         "tapping_cell.logic.cell_monitor",
-        "if before is None or stamp in (0, before):",
-        "if True:",
+        "        if stamp in known:\n",
+        "        if True:\n",
         kinds=("freeze", "stop and reset", "stop and reset"),
     ),
     Mutant(

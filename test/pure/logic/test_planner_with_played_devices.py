@@ -362,6 +362,23 @@ def test_a_restarted_driver_that_was_not_stopped_ends_no_goal(actors: Actors) ->
     assert actors.plans[-1].state == PlanState.LOOKING
 
 
+def test_an_old_message_that_arrives_again_does_not_report_its_stop_again(actors: Actors) -> None:
+    actors.visible = False
+    actors.run(0.6)
+    for time in (5, 7):
+        actors.last_stops["arm"] = Time(sec=time)
+        actors.run(0.2)
+    actors.send()
+    actors.wait(lambda: actors.plans[-1].state == PlanState.LOOKING, "the phase")
+    for time in (5, 0, 7):
+        actors.last_stops["arm"] = Time(sec=time)
+        actors.run(0.1)
+    assert actors.plans[-1].state == PlanState.LOOKING
+    actors.last_stops["arm"] = Time(sec=6)  # the clock was set back before the next stop
+    actors.run(0.1)
+    assert actors.plans[-1].error_code == ErrorCode.ARM_STOPPED
+
+
 def test_a_goal_that_is_sent_before_the_stop_is_known_ends_at_once(actors: Actors) -> None:
     actors.tapper_active = False
     actors.send()
