@@ -55,9 +55,9 @@ class Parameters(PlannerSettings):
 class PlannerHost(LogicHost[PlannerLogic]):
     """Host of the planner's state machine; publishes the scenes of this machine as markers."""
 
-    def _perform(self, effect: effects.Effect) -> None:
-        if not (isinstance(effect, effects.Publish) and isinstance(effect.message, Scene)):
-            super()._perform(effect)
+    def _publish(self, effect: effects.Publish) -> None:
+        if not isinstance(effect.message, Scene):
+            super()._publish(effect)
             return
         goals = self._logic.goals
         markers = cell_markers(goals.cell, effect.message, goals.outline())
