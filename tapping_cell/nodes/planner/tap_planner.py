@@ -96,6 +96,7 @@ class TapPlanner(LogicNode[Parameters]):
         host.subscribes(messages.ArmState, "arm_state", LATCHED)
         host.subscribes(messages.TapperState, "tapper_state", LATCHED)
         host.serves(messages.ConfirmTap, "confirm_tap")
+        host.serves(messages.Trigger, "~/cancel")
         self._frames = open_frames(self)
         self._actions = DeferredActionServer(
             self,
