@@ -181,8 +181,8 @@ class LogicHost(Generic[Machine]):
             try:
                 self._send(effect)
             except RuntimeError:
-                # At shutdown the state machine still ends its current action, but a signal may have
-                # invalidated the context already. Nothing can be sent then.
+                # At shutdown the state machine still ends its current action, but the context may
+                # be invalid already. Nothing can be sent then.
                 if self._node.context.ok():
                     raise
         elif isinstance(effect, fx.StopWire):
