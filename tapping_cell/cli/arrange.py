@@ -67,8 +67,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the verb. Return 0 if every object reached its goal, 1 if not, 2 for invalid input, 130
-    if canceled."""
+    """Run the verb. Return 0 if every object reached its goal, 1 if not or if the arrangement may
+    go on after Ctrl-C, 2 for invalid input, 130 if canceled."""
     console = session.console_of(arguments)
     end_on_signals()
     try:
@@ -93,9 +93,7 @@ def run(arguments: argparse.Namespace) -> int:
         except PlanningError as error:
             return print_refusal(error)
         except KeyboardInterrupt:
-            client.cancel()
-            console.print("arrangement canceled")
-            return 130
+            return session.cancel(client, "arrangement", console)
     if arguments.json:
         print(json.dumps(result_of(ended), indent=2, allow_nan=False))
     if ended.error_code:

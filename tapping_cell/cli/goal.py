@@ -91,7 +91,8 @@ def result_of(finished: Finished) -> dict[str, object]:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the verb. Return 0 if the goal was reached, 1 if not, 130 if canceled."""
+    """Run the verb. Return 0 if the goal was reached, 1 if not or if it may go on after Ctrl-C, 130
+    if canceled."""
     console = session.console_of(arguments)
     end_on_signals()
     goal = Pose(arguments.x / 1000, arguments.y / 1000, math.radians(arguments.theta))
@@ -114,9 +115,7 @@ def run(arguments: argparse.Namespace) -> int:
             print_error(str(error))
             return 1
         except KeyboardInterrupt:
-            client.cancel()
-            console.print("goal canceled")
-            return 130
+            return session.cancel(client, "goal", console)
     if arguments.json:
         print(json.dumps(result_of(finished), indent=2, allow_nan=False))
     if finished.error_code:

@@ -8,12 +8,15 @@ import time
 from collections.abc import Callable
 from contextlib import nullcontext
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 
 from tapping_cell.cli.confirmation import Person
+from tapping_cell.cli.errors import ExitStatus, print_error
 from tapping_cell.configuration.cell import Cell
 from tapping_cell.configuration.schema import ConfigurationError
+from tapping_cell.nodes.clients.action_follower import ActionFollower
 from tapping_cell.nodes.clients.goal_client import (
     Finished,
     GoalClient,
@@ -179,6 +182,19 @@ def follow(
             elif isinstance(event, Finished):
                 return event
     raise AssertionError("the event stream ended before the goal ended")
+
+
+def cancel(client: ActionFollower[Any], what: str, console: Console) -> int:
+    """Cancel a goal after Ctrl-C, and print whether the planner has confirmed this. Return the exit
+    code. ``what``: name of the goal in messages."""
+    if client.cancel():
+        console.print(f"{what} canceled")
+        return ExitStatus.INTERRUPTED
+    print_error(
+        f"the planner did not confirm that the {what} is canceled. The {what} may go on, also after"
+        " a restart of the planner: stop the cell with python -m tapping_cell stop"
+    )
+    return ExitStatus.FAILED
 
 
 def wait_for_record(

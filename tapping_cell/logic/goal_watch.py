@@ -25,6 +25,7 @@ RESUMING_S = 10.0
 GRACE_S = 1.0
 """Maximum time between the final report and the action result, if there is a result."""
 SAME_M = 1e-6
+SAME_RAD = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +44,7 @@ class GoalWatch:
         sent."""
         self._goal = goal
         self._planners = planners
-        self._received = self._quiet_since = now
+        self._received = self._quiet_since = self._gone_since = now
         self._final_since = math.inf
         self.gone = False
         """Whether the planner that accepted the goal has ended or has timed out."""
@@ -64,7 +65,9 @@ class GoalWatch:
         """
         self._received = max(self._received, received_at)
         silent = now - self._received > SILENCE_S
-        self.gone = self.gone or silent or not planners <= self._planners
+        if not self.gone and (silent or not planners <= self._planners):
+            self.gone = True
+            self._gone_since = self._quiet_since = now
         if not self.gone:
             return None
         if silent:
@@ -76,8 +79,9 @@ class GoalWatch:
                     f"{RETURN_S:.0f} s; check its log, restart it, then send the goal again",
                 )
             return None
-        same = plan is not None and pose is not None and pose.distance_to(self._goal) < SAME_M
-        if not same or plan is None or plan.state == PlanState.IDLE:
+        # A report from before this planner was gone may be of an earlier goal with the same pose.
+        new = received_at > self._gone_since and pose is not None and self._is_goal(pose)
+        if not new or plan is None or plan.state == PlanState.IDLE:
             self._final_since = math.inf
             if now - self._quiet_since > RESUMING_S:
                 return Ended(
@@ -94,3 +98,7 @@ class GoalWatch:
         if now - self._final_since < GRACE_S:
             return None
         return Ended(plan.error_code, plan.error_msg)
+
+    def _is_goal(self, pose: Pose) -> bool:
+        near = pose.distance_to(self._goal) < SAME_M
+        return near and abs(pose.rotation_to(self._goal)) < SAME_RAD

@@ -67,6 +67,7 @@ from tapping_cell.messages import (
     SingleTap,
     TapCommand,
     TapperState,
+    Trigger,
 )
 from tapping_cell.planning import (
     Decision,
@@ -346,12 +347,14 @@ class PlannerLogic:
     def on_request(
         self, service: str, request: Message, token: Token, now: Now
     ) -> Sequence[Effect]:
-        """Handle an action goal, its cancellation, the answer to a proposed tap, or a change of the
-        parameter ``ask`` (whether a person confirms every tap)."""
+        """Handle an action goal, its cancellation, the service that ends the present goal, the
+        answer to a proposed tap, or a change of the parameter ``ask`` (whether a person confirms
+        every tap)."""
         if service == "cancel":
             if self._task is not None and self._task.token == token:
-                self._end_tap(now)
-                self._finish(S.CANCELED, ErrorCode.GOAL_CANCELED, "the goal was canceled", now)
+                self._cancel(now)
+        elif service == "~/cancel":
+            self._effects.append(Answer(token, self._cancel_any(now)))
         elif service == "confirm_tap":
             self._effects.append(Answer(token, self._on_confirmation(request, now)))
         elif service == "ask":
@@ -518,6 +521,23 @@ class PlannerLogic:
         self._log(LogLevel.INFO, task.description())
         self._task = task
         self._enter(Event.GOAL_ACCEPTED, S.WAITING_FOR_CELL, now, self._settings.ready_deadline)
+
+    def _cancel(self, now: Now) -> None:
+        self._end_tap(now)
+        self._finish(S.CANCELED, ErrorCode.GOAL_CANCELED, "the goal was canceled", now)
+
+    def _cancel_any(self, now: Now) -> Trigger.Response:
+        """End the present goal, whoever sent it. The goal of a planner that crashed has no action
+        client; it may be under way, or not resumed yet."""
+        crashed, self._resumed = self._resumed, None
+        if self._task is not None:
+            self._cancel(now)
+        else:
+            # Before the node is configured, the stored goal is still on disk.
+            self._effects.append(KeepGoal(None))
+            if crashed is None:
+                return Trigger.Response(success=False, message="there is no goal to cancel")
+        return Trigger.Response(success=True, message="goal canceled")
 
     def _keep_goal(self, task: Task, now: Now) -> None:
         """Store the goal so that the planner can resume it after a crash."""

@@ -10,7 +10,6 @@ from __future__ import annotations
 import os
 import signal
 import sys
-import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Generic, Protocol, TypeVar
@@ -66,8 +65,6 @@ BEST_EFFORT_COMMAND = QoSProfile(
 SIMULATED_TIME = "use_sim_time"
 CONNECTION_CHECK_S = 5.0
 """Period at which the topics are checked for endpoints that cannot connect."""
-SIGNAL_S = 1.0
-"""Maximum time from a signal until the context of rclpy is shut down."""
 ROLE = "role"
 """Key of a node's role in /diagnostics."""
 PROFILE_VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
@@ -335,15 +332,26 @@ def run(make_node: Callable[[], CellNode[Any]], arguments: Sequence[str] | None 
         keep_memory()
     node: CellNode[Any] | None = None
     executor: SingleThreadedExecutor | None = None
+    signals: list[int] = []
+
+    def interrupt(number: int, _: object) -> None:
+        signals.append(number)
+        raise KeyboardInterrupt
+
     try:
+        # A handler of rclpy would invalidate the context at once, so that the node could neither
+        # publish its last state nor switch off an output of a robot while it is cleaned up.
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, interrupt)
         rclpy.init(
             args=list(arguments) if arguments is not None else None,
-            signal_handler_options=SignalHandlerOptions.ALL,
+            signal_handler_options=SignalHandlerOptions.NO,
         )
         executor = SingleThreadedExecutor()
         node = make_node()
         executor.add_node(node)
-        executor.spin()
+        while not signals:  # C code may also drop the exception that the handler has raised
+            executor.spin_once()
     except (KeyboardInterrupt, ExternalShutdownException):
         return 0
     except ConfigurationError as error:
@@ -353,7 +361,9 @@ def run(make_node: Callable[[], CellNode[Any]], arguments: Sequence[str] | None 
         if refused := security.explain(error):
             print(f"error: {refused}", file=sys.stderr)
             return 1
-        if not _due_to_signal(error):
+        # A signal that arrives during a call of C code raises KeyboardInterrupt there, and the
+        # called library reports it as an error of its own.
+        if not signals:
             raise
         return 0
     finally:
@@ -368,24 +378,3 @@ def run(make_node: Callable[[], CellNode[Any]], arguments: Sequence[str] | None 
             node.destroy_node()
         rclpy.try_shutdown()
     return 0
-
-
-def _due_to_signal(error: Exception) -> bool:
-    """Return whether a signal caused an error.
-
-    A signal that arrives during a call of C code raises KeyboardInterrupt there, and the called
-    library reports it as an error of its own. A signal also invalidates the context of rclpy, so
-    that any further use of this context fails. Soon afterwards, the thread of the signal handler
-    shuts the context down; this function waits for this shutdown.
-    """
-    cause: BaseException | None = error
-    while cause is not None:
-        if isinstance(cause, KeyboardInterrupt):
-            return True
-        cause = cause.__cause__ or cause.__context__
-    if isinstance(error, (RuntimeError, SystemError)):
-        deadline = time.monotonic() + SIGNAL_S
-        while rclpy.ok() and time.monotonic() < deadline:
-            time.sleep(0.01)
-        return not rclpy.ok()
-    return False

@@ -6,6 +6,7 @@ only the executor may perform (calls, new subscriptions) are passed to the execu
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import threading
 import time
@@ -181,19 +182,23 @@ class LogicHost(Generic[Machine]):
             except Exception as error:
                 self._node.get_logger().error(traceback.format_exc())
                 made = self._logic.on_defect(error, self.now(), request)
-            for effect in made:
-                self._perform(effect)
+            # The stack also performs the effects after one that raises, so that no stop and no
+            # stored file is lost; it then raises the error. The error may be KeyboardInterrupt.
+            with contextlib.ExitStack() as stack:
+                for effect in reversed(made):
+                    stack.callback(self._perform, effect)
 
     # Effects
 
     def _perform(self, effect: fx.Effect) -> None:
-        if isinstance(effect, fx.Publish):
-            # At shutdown the state machine still publishes its last state. This is not possible if
-            # the context is already invalid.
-            if self._node.context.ok():
-                self._publishers[effect.topic].publish(to_ros(effect.message))
-                if effect.topic in self._observers:
-                    self._observers[effect.topic](effect.message)
+        if isinstance(effect, (fx.Publish, fx.Answer, fx.Feedback)):
+            try:
+                self._send(effect)
+            except RuntimeError:
+                # At shutdown the state machine still ends its current action, but the context may
+                # be invalid already. Nothing can be sent then.
+                if self._node.context.ok():
+                    raise
         elif isinstance(effect, fx.StopWire):
             if self.driver is not None:
                 self.driver.stop()
@@ -205,11 +210,6 @@ class LogicHost(Generic[Machine]):
             self.later(lambda: self._call(effect))
         elif isinstance(effect, fx.AskStops):
             self.later(lambda: self._ask_stops(effect.token))
-        elif isinstance(effect, fx.Answer):
-            self._feedback.pop(effect.token, None)
-            self._requests.pop(effect.token)(effect.response)
-        elif isinstance(effect, fx.Feedback):
-            self._feedback[effect.token](effect.message)
         elif isinstance(effect, fx.Log):
             log = self._node.get_logger()
             # Each level needs a logging call of its own, because rclpy raises an exception if the
@@ -222,6 +222,20 @@ class LogicHost(Generic[Machine]):
                 log.info(effect.sentence)
         else:
             self._keep(effect)
+
+    def _send(self, effect: fx.Publish | fx.Answer | fx.Feedback) -> None:
+        if isinstance(effect, fx.Publish):
+            self._publish(effect)
+        elif isinstance(effect, fx.Answer):
+            self._feedback.pop(effect.token, None)
+            self._requests.pop(effect.token)(effect.response)
+        else:
+            self._feedback[effect.token](effect.message)
+
+    def _publish(self, effect: fx.Publish) -> None:
+        self._publishers[effect.topic].publish(to_ros(effect.message))
+        if effect.topic in self._observers:
+            self._observers[effect.topic](effect.message)
 
     def _keep(self, effect: fx.KeepStop | fx.KeepGoal | fx.TouchGoal) -> None:
         try:
@@ -364,8 +378,10 @@ class LogicNode(CellNode[Parameters], Generic[Parameters]):
     def cleanup(self) -> None:
         """Deactivate the state machine, because an orderly shutdown also ends the machine's current
         action."""
-        self.host.lifecycle(ShutDown())
-        self.host.close()
+        try:
+            self.host.lifecycle(ShutDown())
+        finally:
+            self.host.close()
 
     def on_emergency_stop(self, message: Bool) -> None:
         """Pass a stop message to the state machine; the state machine stops immediately."""

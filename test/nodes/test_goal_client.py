@@ -10,13 +10,17 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 import pytest
+from harness import bench
 from rich.console import Console
-from test_tap_planner import GOAL, acted
+from tapping_cell_msgs.msg import PlanState
+from test_tap_planner import GOAL, Actors, acted, planner_process
 
 from tapping_cell.cli import session
 from tapping_cell.cli.confirmation import Person
+from tapping_cell.cli.errors import ExitStatus
 from tapping_cell.logic.goal_watch import RETURN_S, SILENCE_S
 from tapping_cell.messages import ErrorCode
 from tapping_cell.nodes.clients.goal_client import Finished, GoalClient, TapProposed
@@ -102,3 +106,45 @@ def test_a_planner_killed_during_a_goal_ends_the_wait() -> None:
     # may wait for the cell.
     assert took < RETURN_S + SILENCE_S + 30.0
     assert "waiting for it to return" in words.getvalue()
+
+
+def test_ctrl_c_ends_a_goal_that_a_restarted_planner_has_resumed(tmp_path: Path) -> None:
+    with bench(lambda: [], {}) as b:
+        actors = Actors(b)
+        actors.arm_arrives = False
+        with planner_process(tmp_path) as planner, client_of_a_cell() as client:
+            session.send(client, GOAL, (0.0, 0.0), Console(quiet=True))
+            b.wait(actors.taps, "a tap")
+            planner.kill()
+            planner.wait()
+            before = len(actors.plans)
+            with planner_process(tmp_path):
+                b.wait(lambda: actors.plans[before:], "the next planner")
+                b.wait(lambda: actors.plans[-1].state != PlanState.IDLE, "the resumption")
+                words = io.StringIO()
+                assert session.cancel(client, "goal", Console(file=words)) == ExitStatus.INTERRUPTED
+                b.wait(lambda: actors.plans[-1].state == PlanState.CANCELED, "the end of the goal")
+                assert words.getvalue() == "goal canceled\n"
+
+
+def test_ctrl_c_without_a_planner_reports_that_the_goal_may_go_on(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with planner_process(tmp_path) as planner, client_of_a_cell() as client:
+        session.send(client, GOAL, (0.0, 0.0), Console(quiet=True))
+        planner.kill()
+        planner.wait()
+        words = io.StringIO()
+        assert session.cancel(client, "goal", Console(file=words)) == ExitStatus.FAILED
+    assert words.getvalue() == ""
+    assert "may go on" in capsys.readouterr().err
+
+
+def test_a_client_that_has_sent_no_goal_cancels_no_goal() -> None:
+    with acted() as actors, client_of_a_cell() as client:
+        actors.arm_arrives = False
+        actors.send()
+        actors.bench.wait(actors.taps, "a tap of another client's goal")
+        assert client.cancel()
+        time.sleep(0.3)
+        assert actors.plans[-1].state not in (PlanState.CANCELED, PlanState.FAILED)

@@ -45,7 +45,7 @@ from tapping_cell.configuration.cell import load_cell
 from tapping_cell.configuration.files import shared_folder
 from tapping_cell.nodes.camera import images
 from tapping_cell.nodes.camera.pose_messages import camera_to_message
-from tapping_cell.nodes.cell_node import LATCHED
+from tapping_cell.nodes.cell_node import COMMAND, LATCHED
 from tapping_cell.nodes.conversions import to_message
 from tapping_cell.nodes.page.operator_page import OperatorPage
 from tapping_cell.nodes.page.server import MAX_PAGES, PICTURE_HEADER
@@ -378,6 +378,11 @@ def test_a_goal_gets_the_planners_refusal_and_can_be_canceled() -> None:
     with bench(make, PARAMETERS) as b:
         cell = Cell(b, nodes[0])
         b.wait(lambda: nodes[1].active, "the planner is active")
+        assert b.probe is not None
+        goals = b.probe.create_publisher(PoseStamped, "goal_pose", COMMAND)
+        b.wait(lambda: goals.get_subscription_count() == 2, "the planner receives goals")
+        goal = PoseStamped()
+        goal.header.frame_id, goal.pose.position.x = "table", 0.05
 
         async def scenario() -> None:
             async with cell.open() as page:
@@ -399,6 +404,13 @@ def test_a_goal_gets_the_planners_refusal_and_can_be_canceled() -> None:
                 assert (await page.answer("cancel"))["ok"]
                 ended = await page.answer("goal")
                 assert ended["text"] == f"the goal was canceled ({ErrorCode.GOAL_CANCELED})"
+                # A goal without an action client, such as a goal that a planner has resumed.
+                await page.state(lambda s: not s["plan"]["busy"])
+                goals.publish(goal)
+                await page.state(lambda s: s["plan"]["busy"])
+                await page.send({"do": "cancel"})
+                assert (await page.answer("cancel"))["text"] == "goal canceled; the arm withdraws"
+                await page.state(lambda s: not s["plan"]["busy"])
 
         play(scenario)
 

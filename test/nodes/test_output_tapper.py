@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
+import signal
 import subprocess
 import sys
 import time
@@ -15,7 +17,7 @@ from typing import Any
 
 import pytest
 import yaml
-from harness import Bench, bench
+from harness import TIMEOUT_S, Bench, bench
 from rclpy.duration import Duration
 from ros_output import RosOutput
 from std_srvs.srv import Trigger
@@ -126,6 +128,34 @@ class Cell:
         future = client.call_async(Trigger.Request())
         self.bench.wait(future.done, "the service answers")
         return future.result()
+
+
+@pytest.mark.parametrize("interface", ["topic", "service"])
+def test_an_orderly_shutdown_switches_the_output_off(interface: str, tmp_path: Path) -> None:
+    file = output_cell(tmp_path, interface, reads_back=False)
+    command = [sys.executable, "-m", "tapping_cell.nodes.drivers.tapper_trigger"]
+    options = ["--ros-args", "-p", f"cell_file:={file}"]
+    with bench(lambda: [], {}) as b:
+        robot = RosOutput(interface, reads_back=False)
+        states = b.listen(TapperMessage, "tapper_state", LATCHED)
+        with subprocess.Popen(
+            [*command, *options],
+            env={**os.environ, "HOME": str(tmp_path)},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+        ) as process:
+            try:
+                b.wait(lambda: states and states[-1].state == TapperMessage.SAFE, "it is safe")
+                robot.set_level(True)  # as during a pulse
+                process.send_signal(signal.SIGTERM)
+                text, _ = process.communicate(timeout=TIMEOUT_S)
+            finally:
+                process.kill()
+        assert (process.returncode, "Traceback" in text) == (0, False), text
+        b.wait(lambda: not robot.level, "the output is off", 5.0)
+        assert states[-1].state == TapperMessage.DISCONNECTED
+        robot.close()
 
 
 @contextmanager

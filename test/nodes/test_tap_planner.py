@@ -8,6 +8,10 @@ from __future__ import annotations
 
 import gc
 import json
+import os
+import signal
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -32,6 +36,8 @@ from tapping_cell_msgs.msg import (
     TapperState,
 )
 
+from tapping_cell import messages
+from tapping_cell.logic.effects import KeepGoal, Publish
 from tapping_cell.logic.poses import covariance_to_message
 from tapping_cell.nodes.cell_node import BEST_EFFORT_COMMAND, COMMAND, LATCHED
 from tapping_cell.nodes.conversions import from_message, to_message
@@ -249,3 +255,65 @@ def test_a_stored_goal_that_cannot_be_updated_is_deleted(tmp_path: Path) -> None
         made.bench.wait(made.taps, "a tap")
         assert not kept.exists(), "a restart would resume the goal with an old number of taps"
         made.end()
+
+
+@contextmanager
+def planner_process(home: Path) -> Iterator[subprocess.Popen[str]]:
+    """Run the planner in a process of its own, whose home is ``home``."""
+    command = [sys.executable, "-m", "tapping_cell.nodes.planner.tap_planner"]
+    options = ["--ros-args", "-p", "ready_deadline:=120.0"]
+    with subprocess.Popen(
+        [*command, *options],
+        env={**os.environ, "HOME": str(home)},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    ) as process:
+        try:
+            yield process
+        finally:
+            process.kill()
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT], ids=["SIGTERM", "SIGINT"])
+def test_an_orderly_shutdown_during_a_goal_ends_the_goal(
+    number: signal.Signals, tmp_path: Path
+) -> None:
+    def kept() -> list[Path]:
+        return list((tmp_path / ".ros" / "tapping_cell").glob("domain*/goal.json"))
+
+    with bench(lambda: [], {}) as b:
+        actors = Actors(b)
+        actors.arm_arrives = False
+        with planner_process(tmp_path) as planner:
+            actors.send()
+            b.wait(actors.taps, "a tap")
+            assert kept()
+            planner.send_signal(number)
+            output, _ = planner.communicate(timeout=TIMEOUT_S)
+        assert (planner.returncode, "Traceback" in output) == (0, False), output
+        assert not kept()
+        before = len(actors.plans)
+        with planner_process(tmp_path) as planner:
+            b.wait(lambda: len(actors.plans) > before + 4, "several reports of the next planner")
+            planner.send_signal(number)
+            output, _ = planner.communicate(timeout=TIMEOUT_S)
+        assert {plan.state for plan in actors.plans[before:]} == {PlanState.IDLE}, output
+        assert "resuming" not in output
+
+
+def test_an_effect_that_fails_does_not_drop_the_effects_after_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def fail(effect: Publish) -> None:
+        raise KeyboardInterrupt  # a signal may arrive while a message is published
+
+    with bench(lambda: [], {}):
+        planner = TapPlanner()
+        monkeypatch.setattr(planner.host, "_publish", fail)
+        made = [Publish("plan_state", messages.PlanState()), KeepGoal({"goal": [0, 0, 0]})]
+        monkeypatch.setattr(planner.logic, "on_message", lambda *_: made)
+        with pytest.raises(KeyboardInterrupt):
+            planner.host.receive("arm_state", messages.ArmState())
+        assert planner.host.goal_file.recall() == {"goal": [0, 0, 0]}
+        planner.destroy_node()

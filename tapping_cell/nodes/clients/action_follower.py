@@ -4,15 +4,23 @@ cancel it."""
 from __future__ import annotations
 
 import queue
+import time
 from abc import abstractmethod
 from collections.abc import Iterator
 from typing import Any, ClassVar, Generic, TypeVar
 
+from action_msgs.srv import CancelGoal
 from rclpy.action import ActionClient
 from rclpy.action.client import ClientGoalHandle
+from std_srvs.srv import Trigger
 from tapping_cell_msgs.msg import ErrorCode
 
 from tapping_cell.nodes.clients.client_node import ClientNode
+
+CALL_S = 1.0
+"""Time after which a call is repeated: a planner that has just restarted misses calls until it is
+discovered."""
+POLL_S = 0.02
 
 Event = TypeVar("Event")
 
@@ -30,6 +38,7 @@ class ActionFollower(ClientNode, Generic[Event]):
         self._sent = 0
         """Number of goals sent so far. This number also identifies the latest goal."""
         self._action = ActionClient(self.node, kind, action)
+        self._cancel_any = self.node.create_client(Trigger, "tap_planner/cancel")
 
     def accepts_goals(self) -> bool:
         """Return whether the planner's action server is available."""
@@ -41,15 +50,39 @@ class ActionFollower(ClientNode, Generic[Event]):
         return self._handle is not None
 
     def cancel(self, patience: float = 5.0) -> bool:
-        """Cancel the goal and wait for the confirmation. Return False if there is no goal."""
+        """Cancel the goal and wait up to twice ``patience`` for the confirmation. Return False if
+        the planner did not confirm that the goal has ended, so that the goal may go on."""
+        if self._sent == 0:
+            return True
+        deadline = time.monotonic() + patience
+        while self._handle is None and time.monotonic() < deadline:
+            time.sleep(POLL_S)
+        return self._cancel_own(deadline) or self._cancel_present(patience)
+
+    def _cancel_own(self, deadline: float) -> bool:
+        """Cancel the goal by its action. Return whether the planner knows this goal: a planner that
+        has resumed it after a crash does not."""
         handle = self._handle
-        if handle is None:
+        if handle is None or not self.accepts_goals():
             return False
+        patience = deadline - time.monotonic()
         try:
-            self.result_of(handle.cancel_goal_async, patience)
+            answer = self.result_of(handle.cancel_goal_async, patience)
         except TimeoutError:
             return False
-        return True
+        return bool(answer.return_code != CancelGoal.Response.ERROR_UNKNOWN_GOAL_ID)
+
+    def _cancel_present(self, patience: float) -> bool:
+        """End the present goal of a planner that restarted, and the goal that it would resume.
+        Return whether the planner has answered."""
+        deadline = time.monotonic() + patience
+        while time.monotonic() < deadline:
+            try:
+                self.result_of(lambda: self._cancel_any.call_async(Trigger.Request()), CALL_S)
+            except TimeoutError:
+                continue
+            return True
+        return False
 
     def events(self, poll: float = 0.2) -> Iterator[Event | None]:
         """Yield events as they arrive. Yield None whenever no event has arrived within ``poll`` s,
@@ -65,13 +98,12 @@ class ActionFollower(ClientNode, Generic[Event]):
 
     def _send_goal(self, message: Any) -> None:
         self._handle = None
+        self._sent += 1
         # The goal is sent from the executor's thread. If another thread sent it, the response could
         # arrive before rclpy has registered the request, and would then be dropped.
-        self._executor.create_task(self._send, message)
+        self._executor.create_task(self._send, message, self._sent)
 
-    def _send(self, message: Any) -> None:
-        self._sent += 1
-        number = self._sent
+    def _send(self, message: Any, number: int) -> None:
         future = self._action.send_goal_async(
             message, feedback_callback=lambda received: self._on_feedback(received.feedback)
         )

@@ -166,6 +166,7 @@ class GoalClient(ActionFollower[Event]):
         message = position_goal(goal, tolerance, stamp)
         message.probe, message.ask = probe, ask
         self._taps_received, self._phase, self._proposed = 0, "", 0
+        self._plan = None  # it may contain the numbers of an earlier goal
         self._watch = GoalWatch(goal, self._planners(), time.monotonic())
         self._send_goal(message)
 

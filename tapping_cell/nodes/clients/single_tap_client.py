@@ -118,6 +118,7 @@ class SingleTapClient(GoalClient):
             striker_speed=striker_speed, incidence=incidence, direction=direction, slack=slack
         )
         self._handle = None
+        self._sent += 1
         # The goal is sent from the executor's thread. If another thread sent it, the response could
         # arrive before rclpy has registered the request, and would be lost.
         self._executor.create_task(self._send_tap, message)

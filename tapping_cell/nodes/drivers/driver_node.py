@@ -122,10 +122,12 @@ class DriverNode(LogicNode[Parameters], Generic[Parameters, Driver]):
 
     def cleanup(self) -> None:
         """Close the port."""
-        super().cleanup()
-        if self.driver is not None:
-            self.driver.close()
-        self.driver = None
+        try:
+            super().cleanup()
+        finally:
+            if self.driver is not None:
+                self.driver.close()
+            self.driver = None
 
 
 def run_driver(

@@ -5,7 +5,6 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 
-from action_msgs.srv import CancelGoal
 from rclpy.action import ActionClient
 from rclpy.node import Node
 from rclpy.subscription import Subscription
@@ -43,7 +42,6 @@ class Arrangements:
         self.cells: dict[str, Cell] = {}
         self.checks: dict[str, GoalCheck] = {}
         self._action = ActionClient(node, ArrangeObjects, "arrange_objects")
-        self.cancel_client = node.create_client(CancelGoal, "arrange_objects/_action/cancel_goal")
         self._states: dict[str, ObjectState] = {}
         self._unknown = 0
         self._progress = ArrangementState()

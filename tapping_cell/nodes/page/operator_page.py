@@ -16,7 +16,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from action_msgs.srv import CancelGoal
 from diagnostic_msgs.msg import DiagnosticStatus
 from rcl_interfaces.srv import SetParameters
 from rclpy.action import ActionClient
@@ -81,10 +80,6 @@ STOP_NOT_RELEASED = (
     "the page's own stop cannot be released yet, because the page's stop process is still "
     "starting; try again"
 )
-NOTHING_TO_CANCEL = (
-    "there is no goal to cancel: only goals sent through an action can be canceled; a stop or "
-    "another goal ends a goal from the topic goal_pose"
-)
 LATEST = QoSProfile(
     depth=1, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE
 )
@@ -140,7 +135,7 @@ class OperatorPage(CellNode[Parameters]):
         self._arrangements = Arrangements(self, self._view.note)
         self._preview = GoalPreview(self, self._arrangements)
         self._action = ActionClient(self, PositionObject, "position_object")
-        self._cancel_client = self.create_client(CancelGoal, "position_object/_action/cancel_goal")
+        self._cancel_client = self.create_client(Trigger, "tap_planner/cancel")
         self._clear_clients = {
             actor: self.create_client(Trigger, f"{actor}/clear_fault") for actor in ACTORS
         }
@@ -509,16 +504,13 @@ class OperatorPage(CellNode[Parameters]):
             self._view.note_own_goal(wanted.pose, who)
 
     def _cancel(self, who: str, answer: server.Answer) -> None:
-        def on_reply(response: CancelGoal.Response) -> None:
-            withdraws = "; the arm withdraws" if self._view.has_arm else ""
-            canceled = bool(response.goals_canceling)
-            text = f"goal canceled{withdraws}" if canceled else NOTHING_TO_CANCEL
-            answer(answer_to("cancel", canceled, text))
+        def on_reply(response: Trigger.Response) -> None:
+            withdraws = response.success and self._view.has_arm
+            text = f"{response.message}{'; the arm withdraws' if withdraws else ''}"
+            answer(answer_to("cancel", response.success, text))
 
-        # A zero goal id cancels every goal, regardless of its client.
-        arranging = self._arrangements.active
-        client = self._arrangements.cancel_client if arranging else self._cancel_client
-        call_service(client, CancelGoal.Request(), "cancel", "the planner", answer, on_reply)
+        client, content = self._cancel_client, Trigger.Request()
+        call_service(client, content, "cancel", "the planner", answer, on_reply)
         self._view.note(f"cancel pressed on the page ({who})")
 
     def _clear(self, who: str, answer: server.Answer) -> None:

@@ -55,9 +55,9 @@ class Parameters(PlannerSettings):
 class PlannerHost(LogicHost[PlannerLogic]):
     """Host of the planner's state machine; publishes the scenes of this machine as markers."""
 
-    def _perform(self, effect: effects.Effect) -> None:
-        if not (isinstance(effect, effects.Publish) and isinstance(effect.message, Scene)):
-            super()._perform(effect)
+    def _publish(self, effect: effects.Publish) -> None:
+        if not isinstance(effect.message, Scene):
+            super()._publish(effect)
             return
         goals = self._logic.goals
         markers = cell_markers(goals.cell, effect.message, goals.outline())
@@ -96,6 +96,7 @@ class TapPlanner(LogicNode[Parameters]):
         host.subscribes(messages.ArmState, "arm_state", LATCHED)
         host.subscribes(messages.TapperState, "tapper_state", LATCHED)
         host.serves(messages.ConfirmTap, "confirm_tap")
+        host.serves(messages.Trigger, "~/cancel")
         self._frames = open_frames(self)
         self._actions = DeferredActionServer(
             self,

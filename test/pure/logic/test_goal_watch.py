@@ -107,6 +107,40 @@ def test_a_planner_that_continues_after_a_freeze_reports_the_end_of_its_goal() -
     assert client.wait(5.0, PlanState.REACHED) is not None
 
 
+def test_a_report_from_before_the_goal_does_not_end_it() -> None:
+    """The planner had reached the same goal before. It dies as soon as the goal is sent, and its
+    successor publishes nothing yet."""
+    client = Client()
+    client.plan, client.pose = PlanState(state=PlanState.REACHED), GOAL
+    assert client.wait(RESUMING_S - 2 * PERIOD, None, NEW) is None
+    assert client.watch.gone
+    ended = client.wait(1e3, None, NEW)
+    assert ended is not None and ended.code == ErrorCode.NOT_READY
+
+
+def test_a_report_of_a_planner_that_has_ended_does_not_end_the_goal() -> None:
+    """The planner dies before it has accepted the goal, and its last report is that it has reached
+    an earlier goal with the same pose."""
+    client = Client()
+    client.wait(1.0, PlanState.REACHED)
+    assert client.wait(GRACE_S + 2 * PERIOD, None, NEW) is None
+
+
+def test_a_goal_with_another_angle_is_another_goal() -> None:
+    client = Client()
+    turned = Pose(GOAL.x, GOAL.y, GOAL.theta + 1.5)
+    client.wait(1.0, PlanState.PLACING)
+    ended = client.wait(1e3, PlanState.REACHED, NEW, turned)
+    assert ended is not None and ended.code == ErrorCode.NOT_READY
+
+
+def test_a_planner_that_restarts_late_in_a_goal_has_time_to_resume_it() -> None:
+    client = Client()
+    client.wait(60.0, PlanState.PLACING)
+    assert client.wait(SILENCE_S / 2, None, NEW) is None
+    assert client.wait(60.0, PlanState.PLACING, NEW) is None
+
+
 @given(
     st.lists(
         st.tuples(

@@ -13,7 +13,7 @@ from test_planner_with_played_devices import FAST, Actors
 
 from tapping_cell.configuration.cell import load_cell
 from tapping_cell.logic.clock import Now
-from tapping_cell.logic.effects import Content, Effect, KeepGoal, Publish
+from tapping_cell.logic.effects import Answer, Content, Effect, KeepGoal, Publish
 from tapping_cell.logic.goal_handling import GoalHandling
 from tapping_cell.logic.host import Activated, Configured
 from tapping_cell.logic.other_objects import OtherObjects
@@ -29,6 +29,7 @@ from tapping_cell.messages import (
     PoseStamped,
     PositionObject,
     TapperState,
+    Trigger,
 )
 from tapping_cell.se2 import Pose
 
@@ -211,6 +212,41 @@ def test_a_goal_is_not_resumed_if_the_planner_is_activated_late() -> None:
     logic.on_lifecycle(Activated(), later)
     logic.on_tick(later)
     assert logic.state is State.IDLE
+
+
+def cancelled(logic: PlannerLogic) -> tuple[bool, list[Effect]]:
+    """Call the service that ends the present goal. Return its answer and all effects."""
+    made = list(logic.on_request("~/cancel", Trigger.Request(), 1, NOW))
+    (answer,) = (effect.response for effect in made if isinstance(effect, Answer))
+    return answer.success, made
+
+
+def test_a_resumed_goal_can_be_cancelled() -> None:
+    logic, _ = started(GOAL)
+    success, made = cancelled(logic)
+    assert success and logic.state is State.CANCELED
+    assert logic.last.error_code == ErrorCode.GOAL_CANCELED
+    assert KeepGoal(None) in made
+
+
+def test_a_goal_that_is_cancelled_before_its_resumption_is_not_resumed() -> None:
+    logic = PlannerLogic(PlannerSettings())
+    event = Configured(goals().cell, goals(), kept_goal=GOAL, kept_goal_age=1.0)
+    logic.on_lifecycle(event, NOW)
+    assert cancelled(logic)[0]
+    logic.on_lifecycle(Activated(), NOW)
+    logic.on_tick(NOW)
+    assert logic.state is State.IDLE
+
+
+def test_a_cancel_before_the_planner_is_configured_deletes_the_stored_goal() -> None:
+    logic = PlannerLogic(PlannerSettings())
+    assert KeepGoal(None) in cancelled(logic)[1]
+
+
+def test_without_a_goal_there_is_nothing_to_cancel() -> None:
+    logic, _ = started(None)
+    assert not cancelled(logic)[0] and logic.state is State.IDLE
 
 
 def test_an_old_goal_is_not_resumed() -> None:
