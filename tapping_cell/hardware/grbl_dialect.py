@@ -37,6 +37,9 @@ POWERLESS = ("Alarm", "Sleep")
 """States in which the motors are or may have been without power."""
 DEFAULT_LETTERS = "XYZABCUVW"
 """Axis order in the reports of controllers that do not list their axes."""
+OFFSET_TOLERANCE = 0.002
+"""Maximum difference between a reported work offset and the offset of the declared position, units:
+both positions and the offset are rounded to 0.001."""
 HOMED_TOLERANCE = 0.05
 """Maximum difference between the actual and the expected machine position after homing, units."""
 RESETS = 3
@@ -242,7 +245,10 @@ class GrblDialect(LineDialect[grbl.Frame]):
         self._offset, self._frozen = None, False
         while _moving(status := self._ask_status(deadline)):
             self._pump(POLL_PERIODS[1])
-        self._check_homed(status)
+        if self._not_at_home(status):
+            # The report may have been garbled, so query again before homing counts as failed.
+            self.counters.retries += 1
+            self._check_homed(self._ask_status(deadline))
         if axes is not None:
             self.set_position(axes, deadline)
 
@@ -252,13 +258,36 @@ class GrblDialect(LineDialect[grbl.Frame]):
         self._offset, self._frozen = None, False
         self._command(grbl.set_position_line(self._settings.letters, axes), deadline)
         self._command(MARK_LINE, deadline)
-        while self._offset is None:
-            self._ask_status(deadline)
+        self._offset = self._declared_offset(axes, deadline)
         # From here on, this offset is kept, and offsets in later reports are ignored. If a bit
         # error turns a later line into a G92, the following moves end at wrong machine positions.
         # The position check detects this, because it uses the kept offset.
         self._frozen = True
         self._marked = True
+
+    def _declared_offset(self, axes: Axes, deadline: float) -> tuple[float, ...]:
+        """Query until a report contains the work offset; return the offset.
+
+        The report also contains the machine position, from which the offset of the declared
+        position ``axes`` follows. An offset that differs may be garbled, so it is returned only if
+        the next one is equal: the line that declared the position was then garbled.
+        """
+        before: tuple[float, ...] | None = None
+        while True:
+            status = self._ask_status(deadline)
+            if status.offset is None:
+                continue
+            places = zip(
+                self._in_order(status.machine or ()),
+                self._in_order(status.offset),
+                axes,
+                strict=False,
+            )
+            if status.machine and all(abs(m - o - a) <= OFFSET_TOLERANCE for m, o, a in places):
+                return status.offset
+            if status.offset == before:
+                return status.offset
+            before = status.offset
 
     def clear(self, deadline: float) -> None:
         """Send a soft reset and unlock; the arm must be homed again afterwards."""
@@ -730,9 +759,12 @@ class GrblDialect(LineDialect[grbl.Frame]):
                         "arm.home_place"
                     )
 
-    def _check_homed(self, status: grbl.Status) -> None:
-        """Raise HOMING_FAILED unless every axis that homing moves is at its expected position."""
-        place = self._in_order(status.machine or ())
+    def _not_at_home(self, status: grbl.Status) -> str:
+        """Return what a report says of the axes that are not at their expected positions after
+        homing; empty if every axis that homing moves is there."""
+        if status.machine is None:
+            return "no position"
+        place = self._in_order(status.machine)
         wrong = [
             f"{letter} at {found:g} instead of {wanted:g}"
             for letter, found, wanted in zip(
@@ -740,10 +772,14 @@ class GrblDialect(LineDialect[grbl.Frame]):
             )
             if wanted is not None and abs(found - wanted) > HOMED_TOLERANCE
         ]
-        if wrong or len(place) < AXIS_COUNT:
+        return ", ".join(wrong)
+
+    def _check_homed(self, status: grbl.Status) -> None:
+        """Raise HOMING_FAILED unless every axis that homing moves is at its expected position."""
+        if wrong := self._not_at_home(status):
             raise HardwareFault(
                 FaultReason.HOMING_FAILED,
-                f"after homing the controller reports {', '.join(wrong) or 'no position'}, "
+                f"after homing the controller reports {wrong}, "
                 "which does not match its settings: home again; if it persists, set "
                 "arm.home_place, or name joints that have no switch in "
                 "arm.axes_without_switch",
