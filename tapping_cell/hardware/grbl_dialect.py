@@ -668,13 +668,18 @@ class GrblDialect(LineDialect[grbl.Frame]):
         return texts.get(name[1:], "missing").strip()
 
     def _limits(self, found: Mapping[int, float]) -> list[Finding]:
-        """Compare steps, rates, accelerations and travels with the required ones."""
-        needs, columns = self._settings.needs, self._columns
+        """Compare steps, rates, accelerations and travels with the required ones.
 
-        def four(first: int) -> tuple[list[str], list[float]]:
+        A controller with files may leave out any of these numbers. If another controller leaves out
+        a number, its line was lost.
+        """
+        needs, columns = self._settings.needs, self._columns
+        may_leave_out = self._controller.has_files
+
+        def four(first: int) -> tuple[list[str], list[float | None]]:
             numbers = [first + column for column in columns]
-            listed = all(number in found for number in numbers)
-            return [f"${n}" for n in numbers], [found[n] for n in numbers] if listed else []
+            values = [found.get(number) for number in numbers]
+            return [f"${n}" for n in numbers], [] if may_leave_out and None in values else values
 
         command = "{name}={value}"
         findings = controller_needs.exactly(*four(100), needs.steps, command)
@@ -685,7 +690,7 @@ class GrblDialect(LineDialect[grbl.Frame]):
             per_minute = (60 * a, 60 * b, 60 * c, 60 * d)
         findings += controller_needs.at_least(*four(110), per_minute, command)
         findings += controller_needs.at_least(*four(120), needs.acceleration, command)
-        if found.get(20, 0.0):
+        if found.get(20, 0.0 if may_leave_out else 1.0):
             findings += controller_needs.at_least(*four(130), needs.travel, command)
         return findings
 

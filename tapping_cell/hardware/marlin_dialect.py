@@ -467,14 +467,18 @@ class MarlinDialect(LineDialect[marlin.Frame]):
     def _figures(self, code: str, deadline: float) -> dict[str, float]:
         """Return a code's reported values of the four axes; empty if they are not reported."""
         letters = self._settings.letters
-        for frame in self._command(code, deadline):
-            if (
-                isinstance(frame, marlin.AxisFigures)
-                and frame.code == code
-                and set(letters) <= set(frame.values)
-            ):
-                return {axis: frame.values[axis] for axis in letters}
-        return {}
+
+        def ask() -> dict[str, float]:
+            for frame in self._command(code, deadline):
+                if (
+                    isinstance(frame, marlin.AxisFigures)
+                    and frame.code == code
+                    and set(letters) <= set(frame.values)
+                ):
+                    return {axis: frame.values[axis] for axis in letters}
+            return {}
+
+        return _asked_twice(ask)
 
     def _compare(self, deadline: float) -> list[Finding]:
         """Compare steps, rates, accelerations and soft end stops with the required ones."""
@@ -489,8 +493,13 @@ class MarlinDialect(LineDialect[marlin.Frame]):
         for code, needed in (("M203", needs.speed), ("M201", needs.acceleration)):
             figures = columns(code, self._figures(code, deadline))
             findings += controller_needs.at_least(*figures, needed, SET)
-        for frame in self._command("M211", deadline):
-            if isinstance(frame, marlin.SoftEndstops) and frame.on:
+
+        def ask_soft_endstops() -> list[marlin.SoftEndstops]:
+            frames = self._command("M211", deadline)
+            return [frame for frame in frames if isinstance(frame, marlin.SoftEndstops)]
+
+        for frame in _asked_twice(ask_soft_endstops):
+            if frame.on:
                 free = {
                     axis: frame.high[axis] - frame.low[axis]
                     for axis in self._settings.letters
