@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from tapping_cell.hardware import controller_needs, grbl
@@ -175,11 +175,15 @@ class GrblDialect(LineDialect[grbl.Frame]):
             self.counters.retries += 1
             self._resynchronise(deadline)
 
-    def finish_move(self, expected_end: float, deadline: float) -> AxisReading:
-        """Wait until ``expected_end``, then poll until a report shows the axes at rest."""
+    def finish_move(
+        self, expected_end: float, deadline: float, within: Callable[[Axes], bool]
+    ) -> AxisReading:
+        """Wait until ``expected_end``, then poll until a report shows the axes at rest, or two
+        consecutive reports show them beyond a joint limit."""
         while (left := expected_end - EARLY - self._transport.now()) > 0:
             self._pump(left)
         pause, longest = POLL_PERIODS
+        beyond = False
         while True:
             # Even after the deadline, a query may take REPLY_TIMEOUT: a move that ends late does
             # not mean that the controller is silent.
@@ -199,6 +203,10 @@ class GrblDialect(LineDialect[grbl.Frame]):
                     FaultReason.TIMEOUT,
                     f"the controller still reports {status.state}" + self._override_text(),
                 )
+            place = self._work_position(status)
+            before, beyond = beyond, place is not None and not within(self._in_order(place))
+            if before and beyond:
+                return self._reading(status)
             self._pump(pause)
             pause = min(2 * pause, longest)
 

@@ -181,7 +181,9 @@ class MarlinDialect(LineDialect[marlin.Frame]):
         """Queue one move."""
         self._order(marlin.move_code(self._settings.letters, target, feed), deadline)
 
-    def finish_move(self, expected_end: float, deadline: float) -> AxisReading:
+    def finish_move(
+        self, expected_end: float, deadline: float, within: Callable[[Axes], bool]
+    ) -> AxisReading:
         """Wait until the step counts match the commanded position, and return the position.
 
         ``M400`` is sent if the firmware reports no counts, or if the axes still move at
