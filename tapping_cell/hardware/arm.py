@@ -32,7 +32,7 @@ from tapping_cell.hardware.dialect import (
 from tapping_cell.hardware.faults import LINE_LOST, FaultReason, HardwareFault
 from tapping_cell.hardware.line_quality import ReceivedBytes
 from tapping_cell.hardware.motion import Waypoint, check_limits, move_duration
-from tapping_cell.hardware.scara import Joints, ScaraGeometry
+from tapping_cell.hardware.scara import JOINT_LIMITS, Joints, ReachCode, ScaraGeometry
 from tapping_cell.hardware.transport import Connection
 
 MOVE_ATTEMPTS = 3
@@ -220,9 +220,20 @@ class ArmDriver:
         return self._fresh
 
     def read_joints(self) -> Joints:
-        """Return the joint values from a current reading; raises NOT_HOMED before homing."""
+        """Return the joint values of the arm at rest, as the start of a path.
+
+        A joint that is beyond its limit by no more than the position tolerance is returned at its
+        limit, so that a path may keep this joint. If the arm moves, its rest is awaited. Raises
+        NOT_HOMED before homing, and TIMEOUT if the arm does not come to rest.
+        """
         self._require_ready(homed=True)
-        return (self._recent() or self.read()).joints
+        reading = self._recent() or self.read()
+        if reading.moving:
+            try:
+                self._fresh = reading = self._read_at_rest()
+            except HardwareFault as fault:
+                raise self._noted(fault) from fault.__cause__
+        return self._within_limits(reading.joints)
 
     def move_to(
         self,
@@ -373,8 +384,10 @@ class ArmDriver:
             if fault.reason is FaultReason.REJECTED:
                 raise self._halted(fault) from fault
             raise
-        if failure is not None and reading.moving:
-            raise self._halted(failure)
+        if failure is not None:
+            failure = self._beyond_limit(reading.joints) or failure
+            if reading.moving:
+                raise self._halted(failure)
         self._confirmed = reading.joints
         if failure is not None:
             raise failure
@@ -463,16 +476,17 @@ class ArmDriver:
         return None
 
     def _arrive(self, expected_end: float, deadline: float) -> ArmReading:
-        """Wait until the arm is at rest, and return the reading."""
-        return self._in_joints(self._dialect.finish_move(expected_end, deadline))
+        """Wait until the arm is at rest, or until it moves beyond a joint limit, and return the
+        reading."""
+        return self._in_joints(self._dialect.finish_move(expected_end, deadline, self._axes_within))
 
     def _home_by_firmware(self) -> Joints:
         home = None if self.settings.home_joints is None else Joints(*self.settings.home_joints)
         axes = None if home is None else self._to_axes(home)
         self._dialect.home(axes, self._transport.now() + self.settings.homing_timeout)
-        joints = self._read().joints
+        joints = self._read_at_rest().joints
         if home is None:
-            check_limits(self.geometry, joints)
+            check_limits(self.geometry, self._within_limits(joints))
         elif not self._agrees(home, joints):
             raise self._mismatch(home, joints)
         return joints
@@ -493,7 +507,7 @@ class ArmDriver:
             )
         home = self.settings.home_joints
         if strategy is HomingStrategy.NONE or home is None:
-            check_limits(self.geometry, reading.joints)
+            check_limits(self.geometry, self._within_limits(reading.joints))
             return reading.joints
         target = Joints(*home)
         self._dialect.set_position(self._to_axes(target), self._reply_deadline())
@@ -511,6 +525,14 @@ class ArmDriver:
 
     def _read(self) -> ArmReading:
         return self._in_joints(self._dialect.read(self._reply_deadline()))
+
+    def _read_at_rest(self) -> ArmReading:
+        """Read; if the arm moves, wait until it is at rest, and read again."""
+        reading, deadline = self._read(), self._reply_deadline()
+        while reading.moving:
+            self._arrive(self._transport.now(), deadline)
+            reading = self._read()
+        return reading
 
     def _in_joints(self, reading: AxisReading) -> ArmReading:
         if reading.powerless and self._homed:
@@ -549,6 +571,30 @@ class ArmDriver:
         angle, quill = self.settings.tolerance_angle, self.settings.tolerance_quill
         tolerances = (angle, angle, quill, angle)
         return all(abs(a - b) <= t for a, b, t in zip(first, second, tolerances, strict=True))
+
+    def _within_limits(self, joints: Joints) -> Joints:
+        """Return the joints at their limits if they are beyond them by no more than the tolerance:
+        the controller rounds the position that it reports."""
+        limits = zip(joints, self.geometry.lower, self.geometry.upper, strict=True)
+        nearest = Joints(*(min(max(joint, low), high) for joint, low, high in limits))
+        return nearest if self._agrees(nearest, joints) else joints
+
+    def _beyond_limit(self, joints: Joints) -> HardwareFault | None:
+        """Return the fault of an arm that is beyond a joint limit; None if it is not."""
+        code, _ = self.geometry.limit_excess(self._within_limits(joints))
+        if code is ReachCode.REACHED:
+            return None
+        joint = Joints._fields[JOINT_LIMITS.index(code)]
+        # The end stop blocks the joint while the controller goes on counting steps.
+        return HardwareFault(
+            FaultReason.POSITION_LOST,
+            f"the arm was sent to {joints_text(joints)}, where its {joint} is beyond its limit, "
+            "perhaps by a damaged line: it may have hit its end stop, so look for damage, then "
+            "clear the fault and home again",
+        )
+
+    def _axes_within(self, axes: Axes) -> bool:
+        return self._beyond_limit(self._to_joints(axes)) is None
 
     def _mismatch(self, goal: Joints, found: Joints) -> HardwareFault:
         return HardwareFault(

@@ -55,18 +55,18 @@ def needs_of(geometry: ScaraGeometry, steps_per_unit: Sequence[float] = ()) -> C
 
 
 def at_least(
-    names: Sequence[str], found: Sequence[float], needed: Four | None, command: str = ""
+    names: Sequence[str], found: Sequence[float | None], needed: Four | None, command: str = ""
 ) -> list[Finding]:
-    """Return a finding for each setting that has a minimum.
+    """Return a finding for each setting that has a minimum. ``found``: None for a missing value.
 
     ``command``: template of the command that corrects the setting, with ``{name}`` and ``{value}``.
     """
     return [
         Finding(
             name,
-            f"{value:g}",
+            _shown(value),
             f"must be at least {least:g}",
-            value >= least * (1 - TOLERANCE),
+            value is not None and value >= least * (1 - TOLERANCE),
             command.format(name=name, value=f"{least:g}"),
         )
         for name, value, least in zip(names, found, needed or (), strict=False)
@@ -74,15 +74,15 @@ def at_least(
 
 
 def exactly(
-    names: Sequence[str], found: Sequence[float], needed: Four | None, command: str = ""
+    names: Sequence[str], found: Sequence[float | None], needed: Four | None, command: str = ""
 ) -> list[Finding]:
     """Return a finding for each setting that must match exactly; ``command``: see ``at_least``."""
     return [
         Finding(
             name,
-            f"{value:g}",
+            _shown(value),
             f"must be {wanted:g}",
-            abs(value - wanted) <= TOLERANCE * max(abs(wanted), 1.0),
+            value is not None and abs(value - wanted) <= TOLERANCE * max(abs(wanted), 1.0),
             command.format(name=name, value=f"{wanted:g}"),
         )
         for name, value, wanted in zip(names, found, needed or (), strict=False)
@@ -98,3 +98,7 @@ def refuse(findings: Sequence[Finding]) -> None:
             "the controller's settings differ from the required ones; set them on the controller "
             "or correct the configuration: " + "; ".join(differences),
         )
+
+
+def _shown(value: float | None) -> str:
+    return "missing" if value is None else f"{value:g}"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple, Protocol
 
@@ -107,11 +107,16 @@ class ArmDialect(Protocol):
     def start_moves(self, moves: Sequence[StraightMove], deadline: float) -> None:
         """Send consecutive moves; return when the controller has accepted them."""
 
-    def finish_move(self, expected_end: float, deadline: float) -> AxisReading:
+    def finish_move(
+        self, expected_end: float, deadline: float, within: Callable[[Axes], bool]
+    ) -> AxisReading:
         """Wait until all motion has ended, with few queries before ``expected_end``.
 
         The returned reading is a single report, which may be garbled. A caller that finds a
-        difference from the target must read again before it reports a fault.
+        difference from the target must read again before it reports a fault. ``within``: whether a
+        position is within the joint limits. If moves have no checksum, so that a garbled one may
+        lead beyond a limit, two consecutive reports beyond a limit end the wait: the axes of the
+        returned reading still move.
         """
 
     def idle(self, duration: float) -> None:

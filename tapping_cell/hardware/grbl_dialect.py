@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from tapping_cell.hardware import controller_needs, grbl
@@ -37,6 +37,9 @@ POWERLESS = ("Alarm", "Sleep")
 """States in which the motors are or may have been without power."""
 DEFAULT_LETTERS = "XYZABCUVW"
 """Axis order in the reports of controllers that do not list their axes."""
+OFFSET_TOLERANCE = 0.002
+"""Maximum difference between a reported work offset and the offset of the declared position, units:
+both positions and the offset are rounded to 0.001."""
 HOMED_TOLERANCE = 0.05
 """Maximum difference between the actual and the expected machine position after homing, units."""
 RESETS = 3
@@ -172,11 +175,15 @@ class GrblDialect(LineDialect[grbl.Frame]):
             self.counters.retries += 1
             self._resynchronise(deadline)
 
-    def finish_move(self, expected_end: float, deadline: float) -> AxisReading:
-        """Wait until ``expected_end``, then poll until a report shows the axes at rest."""
+    def finish_move(
+        self, expected_end: float, deadline: float, within: Callable[[Axes], bool]
+    ) -> AxisReading:
+        """Wait until ``expected_end``, then poll until a report shows the axes at rest, or two
+        consecutive reports show them beyond a joint limit."""
         while (left := expected_end - EARLY - self._transport.now()) > 0:
             self._pump(left)
         pause, longest = POLL_PERIODS
+        beyond = False
         while True:
             # Even after the deadline, a query may take REPLY_TIMEOUT: a move that ends late does
             # not mean that the controller is silent.
@@ -196,6 +203,10 @@ class GrblDialect(LineDialect[grbl.Frame]):
                     FaultReason.TIMEOUT,
                     f"the controller still reports {status.state}" + self._override_text(),
                 )
+            place = self._work_position(status)
+            before, beyond = beyond, place is not None and not within(self._in_order(place))
+            if before and beyond:
+                return self._reading(status)
             self._pump(pause)
             pause = min(2 * pause, longest)
 
@@ -242,7 +253,10 @@ class GrblDialect(LineDialect[grbl.Frame]):
         self._offset, self._frozen = None, False
         while _moving(status := self._ask_status(deadline)):
             self._pump(POLL_PERIODS[1])
-        self._check_homed(status)
+        if self._not_at_home(status):
+            # The report may have been garbled, so query again before homing counts as failed.
+            self.counters.retries += 1
+            self._check_homed(self._ask_status(deadline))
         if axes is not None:
             self.set_position(axes, deadline)
 
@@ -252,13 +266,36 @@ class GrblDialect(LineDialect[grbl.Frame]):
         self._offset, self._frozen = None, False
         self._command(grbl.set_position_line(self._settings.letters, axes), deadline)
         self._command(MARK_LINE, deadline)
-        while self._offset is None:
-            self._ask_status(deadline)
+        self._offset = self._declared_offset(axes, deadline)
         # From here on, this offset is kept, and offsets in later reports are ignored. If a bit
         # error turns a later line into a G92, the following moves end at wrong machine positions.
         # The position check detects this, because it uses the kept offset.
         self._frozen = True
         self._marked = True
+
+    def _declared_offset(self, axes: Axes, deadline: float) -> tuple[float, ...]:
+        """Query until a report contains the work offset; return the offset.
+
+        The report also contains the machine position, from which the offset of the declared
+        position ``axes`` follows. An offset that differs may be garbled, so it is returned only if
+        the next one is equal: the line that declared the position was then garbled.
+        """
+        before: tuple[float, ...] | None = None
+        while True:
+            status = self._ask_status(deadline)
+            if status.offset is None:
+                continue
+            places = zip(
+                self._in_order(status.machine or ()),
+                self._in_order(status.offset),
+                axes,
+                strict=False,
+            )
+            if status.machine and all(abs(m - o - a) <= OFFSET_TOLERANCE for m, o, a in places):
+                return status.offset
+            if status.offset == before:
+                return status.offset
+            before = status.offset
 
     def clear(self, deadline: float) -> None:
         """Send a soft reset and unlock; the arm must be homed again afterwards."""
@@ -639,13 +676,18 @@ class GrblDialect(LineDialect[grbl.Frame]):
         return texts.get(name[1:], "missing").strip()
 
     def _limits(self, found: Mapping[int, float]) -> list[Finding]:
-        """Compare steps, rates, accelerations and travels with the required ones."""
-        needs, columns = self._settings.needs, self._columns
+        """Compare steps, rates, accelerations and travels with the required ones.
 
-        def four(first: int) -> tuple[list[str], list[float]]:
+        A controller with files may leave out any of these numbers. If another controller leaves out
+        a number, its line was lost.
+        """
+        needs, columns = self._settings.needs, self._columns
+        may_leave_out = self._controller.has_files
+
+        def four(first: int) -> tuple[list[str], list[float | None]]:
             numbers = [first + column for column in columns]
-            listed = all(number in found for number in numbers)
-            return [f"${n}" for n in numbers], [found[n] for n in numbers] if listed else []
+            values = [found.get(number) for number in numbers]
+            return [f"${n}" for n in numbers], [] if may_leave_out and None in values else values
 
         command = "{name}={value}"
         findings = controller_needs.exactly(*four(100), needs.steps, command)
@@ -656,7 +698,7 @@ class GrblDialect(LineDialect[grbl.Frame]):
             per_minute = (60 * a, 60 * b, 60 * c, 60 * d)
         findings += controller_needs.at_least(*four(110), per_minute, command)
         findings += controller_needs.at_least(*four(120), needs.acceleration, command)
-        if found.get(20, 0.0):
+        if found.get(20, 0.0 if may_leave_out else 1.0):
             findings += controller_needs.at_least(*four(130), needs.travel, command)
         return findings
 
@@ -730,9 +772,12 @@ class GrblDialect(LineDialect[grbl.Frame]):
                         "arm.home_place"
                     )
 
-    def _check_homed(self, status: grbl.Status) -> None:
-        """Raise HOMING_FAILED unless every axis that homing moves is at its expected position."""
-        place = self._in_order(status.machine or ())
+    def _not_at_home(self, status: grbl.Status) -> str:
+        """Return what a report says of the axes that are not at their expected positions after
+        homing; empty if every axis that homing moves is there."""
+        if status.machine is None:
+            return "no position"
+        place = self._in_order(status.machine)
         wrong = [
             f"{letter} at {found:g} instead of {wanted:g}"
             for letter, found, wanted in zip(
@@ -740,10 +785,14 @@ class GrblDialect(LineDialect[grbl.Frame]):
             )
             if wanted is not None and abs(found - wanted) > HOMED_TOLERANCE
         ]
-        if wrong or len(place) < AXIS_COUNT:
+        return ", ".join(wrong)
+
+    def _check_homed(self, status: grbl.Status) -> None:
+        """Raise HOMING_FAILED unless every axis that homing moves is at its expected position."""
+        if wrong := self._not_at_home(status):
             raise HardwareFault(
                 FaultReason.HOMING_FAILED,
-                f"after homing the controller reports {', '.join(wrong) or 'no position'}, "
+                f"after homing the controller reports {wrong}, "
                 "which does not match its settings: home again; if it persists, set "
                 "arm.home_place, or name joints that have no switch in "
                 "arm.axes_without_switch",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import secrets
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import TypeVar
 
 from tapping_cell.hardware import controller_needs, marlin
 from tapping_cell.hardware.axis_units import check_letters
@@ -38,6 +39,7 @@ FIRST_NUMBERS = (1000, 100_000_000)
 """Range of the first line number; a board that was reset counts from 0 instead."""
 RESET_PAUSE = 0.5
 """Time for which the port stays closed, so that its DTR line resets a halted board, s."""
+Answer = TypeVar("Answer")
 NO_EMERGENCY_PARSER = (
     "this Marlin is built without EMERGENCY_PARSER: a stop halts it (M112) until its board is reset"
 )
@@ -146,8 +148,18 @@ class MarlinDialect(LineDialect[marlin.Frame]):
             self._order(code, deadline)
 
     def read(self, deadline: float) -> AxisReading:
-        """Query ``M114``; return the step counts if reported, else the commanded values."""
-        return self._reading(*self._position(deadline))
+        """Query ``M114``; return the step counts if reported, else the commanded values.
+
+        The answer has no checksum, but that of an arm at rest contains the position twice. If both
+        positions are equal, the answer is accepted; otherwise the query is repeated until two
+        consecutive answers agree.
+        """
+        last: marlin.Position | None = None
+        while True:
+            frame, asked = self._position(deadline)
+            if self._is_at_rest(frame) or (last is not None and _agree(last, frame)):
+                return self._reading(frame, asked)
+            last = frame
 
     def _position(self, deadline: float) -> tuple[marlin.Position, float]:
         """Query ``M114``; return the answer and the time of the query."""
@@ -161,11 +173,17 @@ class MarlinDialect(LineDialect[marlin.Frame]):
             self._settle(deadline)
             self.counters.retries += 1
 
+    def _settled_position(self, deadline: float) -> marlin.Position:
+        """Return the position of the arm at rest."""
+        return _asked_twice(lambda: self._position(deadline)[0])
+
     def _start_move(self, target: Axes, feed: float, deadline: float) -> None:
         """Queue one move."""
         self._order(marlin.move_code(self._settings.letters, target, feed), deadline)
 
-    def finish_move(self, expected_end: float, deadline: float) -> AxisReading:
+    def finish_move(
+        self, expected_end: float, deadline: float, within: Callable[[Axes], bool]
+    ) -> AxisReading:
         """Wait until the step counts match the commanded position, and return the position.
 
         ``M400`` is sent if the firmware reports no counts, or if the axes still move at
@@ -174,9 +192,9 @@ class MarlinDialect(LineDialect[marlin.Frame]):
         while (left := expected_end - EARLY - self._transport.now()) > 0:
             self._pump(left)
         if self._steps:
-            reading = self.read(deadline)
-            if reading.measured and not reading.moving:
-                return reading
+            frame, asked = self._position(deadline)
+            if self._is_at_rest(frame):
+                return self._reading(frame, asked)
         self._command("M400", deadline)
         while (reading := self.read(deadline)).moving:
             self._pump(POLL_PERIOD)
@@ -199,7 +217,7 @@ class MarlinDialect(LineDialect[marlin.Frame]):
             if axes is not None:
                 self.set_position(axes, deadline)
             else:
-                self._offset = self._offset_at_rest(self._position(deadline)[0])
+                self._offset = self._offset_at_rest(self._settled_position(deadline))
         except HardwareFault as fault:
             if fault.reason is FaultReason.TIMEOUT:
                 raise HardwareFault(
@@ -225,7 +243,7 @@ class MarlinDialect(LineDialect[marlin.Frame]):
         the reported position; in others, it changes the step counts too. The difference between
         position and step counts is therefore measured."""
         self._order("G92" + marlin.axis_text(self._settings.letters, axes), deadline)
-        self._offset = self._offset_at_rest(self._position(deadline)[0], axes)
+        self._offset = self._offset_at_rest(self._settled_position(deadline), axes)
 
     def clear(self, deadline: float) -> None:
         """Restart the line numbering. If the board is silent, reopen the port; this resets a halted
@@ -451,14 +469,18 @@ class MarlinDialect(LineDialect[marlin.Frame]):
     def _figures(self, code: str, deadline: float) -> dict[str, float]:
         """Return a code's reported values of the four axes; empty if they are not reported."""
         letters = self._settings.letters
-        for frame in self._command(code, deadline):
-            if (
-                isinstance(frame, marlin.AxisFigures)
-                and frame.code == code
-                and set(letters) <= set(frame.values)
-            ):
-                return {axis: frame.values[axis] for axis in letters}
-        return {}
+
+        def ask() -> dict[str, float]:
+            for frame in self._command(code, deadline):
+                if (
+                    isinstance(frame, marlin.AxisFigures)
+                    and frame.code == code
+                    and set(letters) <= set(frame.values)
+                ):
+                    return {axis: frame.values[axis] for axis in letters}
+            return {}
+
+        return _asked_twice(ask)
 
     def _compare(self, deadline: float) -> list[Finding]:
         """Compare steps, rates, accelerations and soft end stops with the required ones."""
@@ -473,8 +495,13 @@ class MarlinDialect(LineDialect[marlin.Frame]):
         for code, needed in (("M203", needs.speed), ("M201", needs.acceleration)):
             figures = columns(code, self._figures(code, deadline))
             findings += controller_needs.at_least(*figures, needed, SET)
-        for frame in self._command("M211", deadline):
-            if isinstance(frame, marlin.SoftEndstops) and frame.on:
+
+        def ask_soft_endstops() -> list[marlin.SoftEndstops]:
+            frames = self._command("M211", deadline)
+            return [frame for frame in frames if isinstance(frame, marlin.SoftEndstops)]
+
+        for frame in _asked_twice(ask_soft_endstops):
+            if frame.on:
                 free = {
                     axis: frame.high[axis] - frame.low[axis]
                     for axis in self._settings.letters
@@ -488,12 +515,18 @@ class MarlinDialect(LineDialect[marlin.Frame]):
     def _offset_before_homing(self, deadline: float) -> dict[str, float]:
         """Return the offset that the board has kept from an earlier session; empty if the arm
         moves."""
-        first, _ = self._position(deadline)
-        offset = self._offset_at_rest(first)
-        if not offset:
-            return offset
-        self._pump(REST_S)
-        return offset if self._position(deadline)[0].counts == first.counts else {}
+        self._offset = {}
+        before: marlin.Position | None = None
+        # Two answers suffice unless one of them is garbled.
+        for _ in range(3):
+            frame, _ = self._position(deadline)
+            if self._is_at_rest(frame):
+                break
+            if frame == before:
+                return self._offset_at_rest(frame)
+            before = frame
+            self._pump(REST_S)
+        return {}
 
     def _offset_at_rest(
         self, frame: marlin.Position, declared: Axes | None = None
@@ -512,6 +545,14 @@ class MarlinDialect(LineDialect[marlin.Frame]):
                 exact = frame.commanded[letter] if declared is None else declared[axis]
                 offset[letter] = exact - count / steps
         return offset
+
+    def _is_at_rest(self, frame: marlin.Position) -> bool:
+        """Return whether an answer contains all axes, with a commanded position that equals the
+        step counts."""
+        if not set(self._settings.letters) <= set(frame.commanded):
+            return False
+        reading = self._reading(frame, 0.0)
+        return reading.measured and not reading.moving
 
     def _reading(self, frame: marlin.Position, asked: float) -> AxisReading:
         letters = self._settings.letters
@@ -567,6 +608,20 @@ class MarlinDialect(LineDialect[marlin.Frame]):
             f"no answer to {what} from the arm's controller on {self._transport.name} in time:"
             " check power, cable and baud rate",
         )
+
+
+def _asked_twice(ask: Callable[[], Answer]) -> Answer:
+    """Ask until two consecutive answers are equal, because an answer has no checksum."""
+    before = ask()
+    while (answer := ask()) != before:
+        before = answer
+    return answer
+
+
+def _agree(first: marlin.Position, second: marlin.Position) -> bool:
+    """Return whether two answers have the same commanded position; the step counts of a moving arm
+    change between them."""
+    return first.commanded == second.commanded and first.counts.keys() == second.counts.keys()
 
 
 def _rounding(steps: float) -> float:

@@ -8,7 +8,7 @@ states must confirm it.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from tapping_cell.hardware import controller_needs
@@ -137,7 +137,9 @@ class Ros2ControlDialect:
         self._link.send(points)
         self._ends = self._link.now() + points[-1].time
 
-    def finish_move(self, expected_end: float, deadline: float) -> AxisReading:
+    def finish_move(
+        self, expected_end: float, deadline: float, within: Callable[[Axes], bool]
+    ) -> AxisReading:
         """Wait until the trajectory's duration has passed, the joints are at rest, and the
         controller has reported the end of the trajectory's goal, if it reports goals.
 

@@ -117,9 +117,8 @@ EXPLAINED_BY: dict[int, frozenset[str]] = {
     ErrorCode.ARM_FIRMWARE_UNKNOWN: ARM_LINE | ARM_POWER | ARM_ENDS,
     ErrorCode.ARM_ALARM: ARM_LINE | ARM_POWER | FREEZES,
     ErrorCode.ARM_REPLY_GARBLED: ARM_LINE,
-    # Grbl's replies have no checksum: a changed digit of a position can be beyond a joint's limit.
-    ErrorCode.ARM_JOINT_LIMIT: ARM_LINE,
     ErrorCode.ARM_TIMEOUT: DELAYS | POWER | {"foreign trajectory", "unreported trajectory"},
+    # Grbl's lines have no checksum: a changed digit of a move line truly moves the arm elsewhere.
     ErrorCode.ARM_POSITION_MISMATCH: ARM_LINE | ARM_POWER | FREEZES,
     ErrorCode.ARM_SILENT: FREEZES | ENDS | LINKS,
     ErrorCode.ARM_BUSY: DELAYS | FOREIGN | {"foreign trajectory", "unreported trajectory"},

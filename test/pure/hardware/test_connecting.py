@@ -100,6 +100,64 @@ def test_a_marlin_with_other_settings_is_refused_with_both_values(
     assert caught.value.reason is FaultReason.SETTINGS_MISMATCH
 
 
+def without_first(board: ArmEmulator, lost: bytes) -> None:
+    """Make the first line with ``lost`` that the board sends unreadable."""
+    original, spoilt = board.take_output, list[bytes]()
+
+    def take(now: float) -> bytes:
+        output = original(now)
+        if lost in output and not spoilt:
+            spoilt.append(output)
+            output = output.replace(lost, b"\x7f" * len(lost), 1)
+        return output
+
+    board.take_output = take  # type: ignore[method-assign]
+
+
+@pytest.mark.parametrize(
+    ("number", "lost"),
+    [(n, n) for n in (100, 103, 111, 113, 120, 122, 130, 133)] + [(130, 20)],
+)
+def test_a_lost_line_does_not_hide_an_unsuitable_setting_of_grbl(number: int, lost: int) -> None:
+    values = default_settings() | {20: 1.0, number: 1.0}
+    board = GrblEmulator(GrblMachine(settings=values))
+    without_first(board, b"$%d=" % lost)
+    line = line_to(board)
+    driver = ArmDriver(line, GrblDialect(line, GrblSettings(needs=MILD)), ScaraGeometry())
+    with pytest.raises(HardwareFault, match=rf"\${number} is 1, must be"):
+        driver.connect()
+
+
+@pytest.mark.parametrize("lost", [100, 101, 112, 123, 131, 20])
+def test_a_lost_line_of_suitable_settings_of_grbl_is_asked_for_again(lost: int) -> None:
+    board = GrblEmulator(GrblMachine(settings=default_settings() | {20: 1.0}))
+    without_first(board, b"$%d=" % lost)
+    line = line_to(board)
+    driver = ArmDriver(line, GrblDialect(line, GrblSettings(needs=MILD)), ScaraGeometry())
+    assert driver.connect().name == "Grbl"
+
+
+@pytest.mark.parametrize(
+    ("change", "words", "lost"),
+    [
+        ({"steps": (80.0, 200.0, 400.0, 100.0)}, "M92 X is 80", b"M92 "),
+        ({"max_rate": (115.0, 50.0, 250.0, 345.0)}, "M203 Y is 50", b"M203 "),
+        ({"acceleration": (458.0, 573.0, 20.0, 1720.0)}, "M201 Z is 20", b"M201 "),
+        ({"soft_endstops": True, "soft_high": (60.0,) * 4}, "M211 range A is 60", b"Soft end"),
+    ],
+    ids=["steps", "rate", "acceleration", "soft end stops"],
+)
+def test_a_lost_line_does_not_hide_an_unsuitable_setting_of_marlin(
+    change: dict[str, object], words: str, lost: bytes
+) -> None:
+    board = MarlinEmulator(replace(MarlinMachine(), **change))  # type: ignore[arg-type]
+    without_first(board, lost)
+    line = line_to(board)
+    driver = ArmDriver(line, MarlinDialect(line, MarlinSettings(needs=MILD)), ScaraGeometry())
+    with pytest.raises(HardwareFault, match=words):
+        driver.connect()
+
+
 def test_a_marlin_that_can_only_be_killed_is_reported() -> None:
     (remark,) = marlin(MILD, MarlinMachine(emergency_parser=False)).connect().remarks
     assert "EMERGENCY_PARSER" in remark and "M112" in remark
