@@ -284,9 +284,9 @@ class SpringDrive:
             if needed <= longest:
                 return after(needed, Phase.HOLDING, 0, SETTLE_TIME)
             return after(longest, Phase.OFF, 0)
-        if self._count == 0 and self._phase in (Phase.OUT, Phase.HOLDING):
-            if not self._switch():  # the carriage is not at the switch, where it should be
-                return after(0, Phase.OFF, 0, SETTLE_TIME)
+        at_front = self._count == 0 and self._phase in (Phase.OUT, Phase.HOLDING)
+        if at_front and not self._switch():  # the carriage was moved by hand, or the switch sticks
+            return after(0, Phase.OFF, 0, SETTLE_TIME)
         if self._phase is Phase.OUT:
             check = max(0, HYSTERESIS_LIMIT - self._count)
             steps = self._target - self._count
