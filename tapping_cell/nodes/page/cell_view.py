@@ -132,10 +132,16 @@ class CellView:
         """Return the topics of camera_pose and of the devices."""
         return [
             (ObjectState, "object_state", lambda state: self._monitor.on_object(state, _now())),
-            (ArmState, "arm_state", lambda state: self._monitor.on_arm(state, _now())),
-            (TapperState, "tapper_state", lambda state: self._monitor.on_tapper(state, _now())),
+            (ArmState, "arm_state", self._on_arm),
+            (TapperState, "tapper_state", self._on_tapper),
             *((StopState, f"{each}/stop_state", partial(self.on_stop, each)) for each in ACTORS),
         ]
+
+    def _on_arm(self, state: ArmState) -> None:
+        self._monitor.on_arm(state, _now())
+
+    def _on_tapper(self, state: TapperState) -> None:
+        self._monitor.on_tapper(state, _now())
 
     def on_stop(self, actor: str, message: StopState) -> None:
         """Process ``stop_state`` of an actor."""
