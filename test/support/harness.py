@@ -93,10 +93,10 @@ def bench(
         ended.set()
         executor.wake()
         thread.join(5.0)
-        executor.shutdown()
         for node in nodes:
             node.cleanup()
+        executor.shutdown()
+        for node in (*nodes, made.probe):
             node.destroy_node()
-        made.probe.destroy_node()
         rclpy.try_shutdown()
     assert not errors, f"a node failed: {errors[0]!r}"

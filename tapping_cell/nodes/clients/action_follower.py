@@ -35,6 +35,8 @@ class ActionFollower(ClientNode, Generic[Event]):
         super().__init__(name, namespace)
         self._events: queue.Queue[Event] = queue.Queue()
         self._handle: ClientGoalHandle | None = None
+        self._has_goal = False
+        """Whether a goal was sent, or is about to be sent."""
         self._sent = 0
         """Number of goals sent so far. This number also identifies the latest goal."""
         self._action = ActionClient(self.node, kind, action)
@@ -52,7 +54,7 @@ class ActionFollower(ClientNode, Generic[Event]):
     def cancel(self, patience: float = 5.0) -> bool:
         """Cancel the goal and wait up to twice ``patience`` for the confirmation. Return False if
         the planner did not confirm that the goal has ended, so that the goal may go on."""
-        if self._sent == 0:
+        if not self._has_goal:
             return True
         deadline = time.monotonic() + patience
         while self._handle is None and time.monotonic() < deadline:
@@ -98,12 +100,15 @@ class ActionFollower(ClientNode, Generic[Event]):
 
     def _send_goal(self, message: Any) -> None:
         self._handle = None
-        self._sent += 1
+        self._has_goal = True
         # The goal is sent from the executor's thread. If another thread sent it, the response could
         # arrive before rclpy has registered the request, and would then be dropped.
-        self._executor.create_task(self._send, message, self._sent)
+        self._executor.create_task(self._send, message)
 
-    def _send(self, message: Any, number: int) -> None:
+    def _send(self, message: Any) -> None:
+        # Numbered here, because the executor may run the tasks in another order.
+        self._sent += 1
+        number = self._sent
         future = self._action.send_goal_async(
             message, feedback_callback=lambda received: self._on_feedback(received.feedback)
         )
