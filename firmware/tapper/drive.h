@@ -50,7 +50,7 @@ struct drive {
 void drive_start(struct drive *d);
 void drive_home(struct drive *d);
 void drive_out(struct drive *d, int16_t steps); /* only from DRIVE_THERE */
-void drive_back(struct drive *d);               /* no effect while the position is unknown */
+void drive_back(struct drive *d);               /* homing ends and its motor is switched off */
 void drive_halt(struct drive *d);
 enum drive_status drive_status(const struct drive *d);
 /* Call at 8 kHz with the level of the front switch; at most every second call makes a step. */

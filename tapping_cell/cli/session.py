@@ -187,12 +187,16 @@ def follow(
 def cancel(client: ActionFollower[Any], what: str, console: Console) -> int:
     """Cancel a goal after Ctrl-C, and print whether the planner has confirmed this. Return the exit
     code. ``what``: name of the goal in messages."""
-    if client.cancel():
+    try:
+        confirmed = client.cancel()
+    except KeyboardInterrupt:  # the person does not wait for the confirmation
+        confirmed = False
+    if confirmed:
         console.print(f"{what} canceled")
         return ExitStatus.INTERRUPTED
     print_error(
-        f"the planner did not confirm that the {what} is canceled. The {what} may go on, also after"
-        " a restart of the planner: stop the cell with python -m tapping_cell stop"
+        f"the planner did not confirm that the {what} is canceled, so the {what} may go on: stop"
+        " the cell with python -m tapping_cell stop"
     )
     return ExitStatus.FAILED
 

@@ -283,15 +283,12 @@ class GrblDialect(LineDialect[grbl.Frame]):
         before: tuple[float, ...] | None = None
         while True:
             status = self._ask_status(deadline)
-            if status.offset is None:
+            if status.offset is None or not status.machine:
                 continue
             places = zip(
-                self._in_order(status.machine or ()),
-                self._in_order(status.offset),
-                axes,
-                strict=False,
+                self._in_order(status.machine), self._in_order(status.offset), axes, strict=False
             )
-            if status.machine and all(abs(m - o - a) <= OFFSET_TOLERANCE for m, o, a in places):
+            if all(abs(m - o - a) <= OFFSET_TOLERANCE for m, o, a in places):
                 return status.offset
             if status.offset == before:
                 return status.offset

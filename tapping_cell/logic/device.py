@@ -14,6 +14,7 @@ from tapping_cell.logic.effects import (
     AbandonJob,
     Answer,
     AskStops,
+    Content,
     Effect,
     Job,
     JobContext,
@@ -203,6 +204,11 @@ class DeviceLogic(ABC, Generic[State, Event]):
         """Handle a request to clear before the node is configured; return whether it is granted."""
         return False
 
+    def recall_stop(self, content: Content | None) -> None:
+        """Restore the stop that an earlier process of this node has stored last, if any. Call this
+        method before the first event, because a new stop replaces the stored one."""
+        self._stops.recall(content)
+
     # Handlers of the protocol ``Logic``
 
     def on_lifecycle(self, event: LifecycleEvent, now: Now) -> Sequence[Effect]:
@@ -210,7 +216,6 @@ class DeviceLogic(ABC, Generic[State, Event]):
         if isinstance(event, Configured):
             self._configured = True
             self._configured_with(event, now)
-            self._stops.recall(event.kept_stop)
             if self._stops.stopped:
                 self._effects.append(StopWire())
                 self._stop(now)
@@ -220,7 +225,7 @@ class DeviceLogic(ABC, Generic[State, Event]):
         elif isinstance(event, Unreachable):
             self.patience = patience_after(self.patience, event.fault)
             self._unreachable(event.fault)
-            if not self._stops.stopped:
+            if self.state is not self.stopped_state:
                 self._error = (self._code_of(event.fault), event.fault.sentence)
         elif isinstance(event, Activated):
             self._active = True

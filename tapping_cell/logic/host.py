@@ -25,8 +25,6 @@ class Configured:
     cell: Cell
     connected: Any = None
     """Return value of the driver's ``connect``; for the planner, its GoalHandling."""
-    kept_stop: Content | None = None
-    """Content of the last KeepStop before the node was restarted."""
     kept_goal: Content | None = None
     """Content of the last KeepGoal."""
     kept_goal_age: float = 0.0

@@ -535,7 +535,7 @@ class PlannerLogic:
         else:
             # Before the node is configured, the stored goal is still on disk.
             self._effects.append(KeepGoal(None))
-            if crashed is None:
+            if self._configured and crashed is None:
                 return Trigger.Response(success=False, message="there is no goal to cancel")
         return Trigger.Response(success=True, message="goal canceled")
 

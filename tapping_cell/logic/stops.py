@@ -77,9 +77,7 @@ class StopLatch:
         sources = content.get("sources")
         names = [str(name) for name in sources] if isinstance(sources, list) else []
         names = names or [RESTART]
-        # This process may have stored the stop itself, before it was configured.
-        earlier = TOPIC in names and TOPIC not in self._sources
-        self._publishers_unknown = self._publishers_unknown or earlier or RESTART in names
+        self._publishers_unknown = TOPIC in names or RESTART in names
         for name in names:
             self._add(name)
         self._asserted = self._asserted or content.get("asserted") is not False

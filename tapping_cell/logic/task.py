@@ -172,8 +172,8 @@ class Task:
     ask: bool = False
     """Whether a person confirms every tap."""
     earlier_taps: int = 0
-    """Taps of this goal that a planner commanded before it crashed, and that were not certainly not
-    fired. There are no records of these taps."""
+    """Taps of this goal that a planner commanded before it crashed, without those that are known
+    not to have been fired. There are no records of these taps."""
     records: list[TapRecord] = field(default_factory=list)
     not_fired: int = 0
     late: int = 0

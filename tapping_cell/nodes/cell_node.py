@@ -65,6 +65,8 @@ BEST_EFFORT_COMMAND = QoSProfile(
 SIMULATED_TIME = "use_sim_time"
 CONNECTION_CHECK_S = 5.0
 """Period at which the topics are checked for endpoints that cannot connect."""
+SIGNAL_S = 0.2
+"""Maximum time for which a waiting node does not notice a signal, s."""
 ROLE = "role"
 """Key of a node's role in /diagnostics."""
 PROFILE_VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
@@ -335,8 +337,12 @@ def run(make_node: Callable[[], CellNode[Any]], arguments: Sequence[str] | None 
     signals: list[int] = []
 
     def interrupt(number: int, _: object) -> None:
+        # After Ctrl-C, the terminal and the launcher both send a signal. The second one must not
+        # interrupt the orderly shutdown.
+        first = not signals
         signals.append(number)
-        raise KeyboardInterrupt
+        if first:
+            raise KeyboardInterrupt
 
     try:
         # A handler of rclpy would invalidate the context at once, so that the node could neither
@@ -350,8 +356,8 @@ def run(make_node: Callable[[], CellNode[Any]], arguments: Sequence[str] | None 
         executor = SingleThreadedExecutor()
         node = make_node()
         executor.add_node(node)
-        while not signals:  # C code may also drop the exception that the handler has raised
-            executor.spin_once()
+        while not signals:  # the exception may be lost if the handler runs during a call of C code
+            executor.spin_once(timeout_sec=SIGNAL_S)
     except (KeyboardInterrupt, ExternalShutdownException):
         return 0
     except ConfigurationError as error:
@@ -367,8 +373,6 @@ def run(make_node: Callable[[], CellNode[Any]], arguments: Sequence[str] | None 
             raise
         return 0
     finally:
-        # After Ctrl-C, the terminal and the launcher both send a signal. The first one is
-        # sufficient for an orderly shutdown, so further signals are ignored.
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, signal.SIG_IGN)
         if node is not None:

@@ -233,6 +233,8 @@ class SpringDrive:
                 steps = min(steps, self._end.steps)
             self._move(steps)
             self._count += self._direction() * steps
+            if self._phase is Phase.LEAVING:
+                self._leave_steps -= steps
             self._since = now
         self._closed = self._switch_after(0)
 

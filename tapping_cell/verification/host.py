@@ -15,6 +15,7 @@ from typing import Any
 from tapping_cell.configuration.cell import Cell
 from tapping_cell.hardware.faults import HardwareFault
 from tapping_cell.logic.clock import Now
+from tapping_cell.logic.device import DeviceLogic
 from tapping_cell.logic.effects import (
     AbandonJob,
     Answer,
@@ -228,6 +229,8 @@ class Process:
         self.inactive_since = self._scheduler.now
         self._connected = self._configured = self._connecting = False
         self.logic, self._driver = self._program.make()
+        if isinstance(self.logic, DeviceLogic):
+            self.logic.recall_stop(self.disk.stop)
         self._jobs.clear()
         self._abandoned.clear()
         self._inbox.clear()
@@ -478,7 +481,7 @@ class Process:
             return
         self._connected = self._driver is not None
         age = self._scheduler.now - self.disk.goal_touched
-        event = Configured(self._program.cell, connected, self.disk.stop, self.disk.goal, age)
+        event = Configured(self._program.cell, connected, self.disk.goal, age)
 
         def handle() -> None:
             self._handle(self.logic.on_lifecycle, event)

@@ -178,7 +178,7 @@ MUTANTS: tuple[Mutant, ...] = (
     Mutant(
         "forgets a stop at a restart",
         "tapping_cell.logic.device",
-        "            self._stops.recall(event.kept_stop)\n",
+        "        self._stops.recall(content)\n",
         "",
         "S5",
         kinds=("emergency stop", "kill", "restart"),

@@ -67,7 +67,7 @@ class ActionFollower(ClientNode, Generic[Event]):
         handle = self._handle
         if handle is None or not self.accepts_goals():
             return False
-        patience = deadline - time.monotonic()
+        patience = max(deadline - time.monotonic(), CALL_S)
         try:
             answer = self.result_of(handle.cancel_goal_async, patience)
         except TimeoutError:
@@ -75,8 +75,8 @@ class ActionFollower(ClientNode, Generic[Event]):
         return bool(answer.return_code != CancelGoal.Response.ERROR_UNKNOWN_GOAL_ID)
 
     def _cancel_present(self, patience: float) -> bool:
-        """End the present goal of a planner that restarted, and the goal that it would resume.
-        Return whether the planner has answered."""
+        """End the present goal of the planner, whoever sent it, and the goal that a restarted
+        planner would resume. Return whether the planner has answered."""
         deadline = time.monotonic() + patience
         while time.monotonic() < deadline:
             try:

@@ -56,6 +56,7 @@ class DriverNode(LogicNode[Parameters], Generic[Parameters, Driver]):
         self._linked_to: object = None
         self.logic = make_logic(self.settings)
         self.host = LogicHost(self, self.logic, state_folder(key_of(self)))
+        self.logic.recall_stop(self.host.stop_file.recall())
         self.host.publishes(messages.StopState, "~/stop_state", LATCHED)
         for service in ("~/stop", "~/clear_fault"):
             self.host.serves(messages.Trigger, service)
@@ -99,8 +100,7 @@ class DriverNode(LogicNode[Parameters], Generic[Parameters, Driver]):
             raise NotReady(fault.sentence) from fault
         self.driver, self.port = driver, port
         self.host.start(driver)
-        kept = self.host.stop_file.recall()
-        self.host.lifecycle(Configured(cell, connected, kept_stop=kept))
+        self.host.lifecycle(Configured(cell, connected))
         return answer
 
     def link_to(self, section: Section, make: Callable[[Section], Link]) -> Link:

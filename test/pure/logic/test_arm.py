@@ -23,7 +23,17 @@ from tapping_cell.logic import arm as arms
 from tapping_cell.logic import permit
 from tapping_cell.logic.arm_jobs import MotionEnd, Reading
 from tapping_cell.logic.clock import Now
-from tapping_cell.logic.effects import AskStops, Effect, Job, JobEnded, RunJob, StopLevels
+from tapping_cell.logic.effects import (
+    Answer,
+    AskStops,
+    Content,
+    Effect,
+    Job,
+    JobEnded,
+    KeepStop,
+    RunJob,
+    StopLevels,
+)
 from tapping_cell.logic.host import Activated, Configured, Deactivated
 from tapping_cell.messages import (
     ArmState,
@@ -476,3 +486,30 @@ def test_a_restarted_arm_keeps_the_promise_made_with_another_cell_file() -> None
     (job,) = (e.job for e in made if isinstance(e, RunJob))
     assert isinstance(job.run, partial)
     assert job.run.keywords["not_before"] >= START + permit.longest_hold(CELL)
+
+
+@pytest.mark.parametrize("restarts", [1, 2])
+def test_a_stop_received_before_the_port_opens_does_not_replace_the_stored_one(
+    restarts: int,
+) -> None:
+    """One publisher has asserted the stop and vanished; another one asserts and releases its stop
+    while the restarted node waits for its port."""
+    stored: Content | None = {"sources": ["emergency_stop"], "asserted": True}
+    for _ in range(restarts):
+        arm = arms.ArmLogic(arms.ArmOptions())
+        arm.recall_stop(stored)
+        for level in (True, False):
+            made = arm.on_message("emergency_stop", Bool(data=level), at(START))
+            for effect in made:
+                if isinstance(effect, KeepStop):
+                    stored = effect.content
+    arm.on_lifecycle(Configured(CELL, Reading(True, PARK, False, START)), at(START + 1.0))
+    assert arm.state is arms.State.STOPPED
+    (ask,) = [
+        e
+        for e in arm.on_request("~/clear_fault", Trigger.Request(), 1, at(START + 2.0))
+        if isinstance(e, AskStops)
+    ]
+    made = arm.on_answer(ask.token, StopLevels(False, ("panel",), ()), at(START + 2.1))
+    (answer,) = [e.response for e in made if isinstance(e, Answer)]
+    assert not answer.success and "restarted" in answer.message

@@ -113,15 +113,6 @@ def test_a_stop_of_the_service_needs_no_confirmation_after_a_restart() -> None:
     assert reset(latch, QUIET, 10.0) == ""
 
 
-def test_a_stop_received_while_the_node_starts_is_not_one_of_an_earlier_process() -> None:
-    """The node stores the stop before it is configured, and then reads its own file."""
-    latch = StopLatch()
-    latch.receive(True)
-    latch.recall(latch.content())
-    latch.receive(False)
-    assert reset(latch, QUIET, 10.0) == ""
-
-
 def test_a_level_that_is_not_repeated_requires_an_operator_confirmation() -> None:
     latch = StopLatch()
     latch.receive(True)
