@@ -47,7 +47,7 @@ class KeptContent:
         """Return the stored content: None if there is no file, empty if it is unreadable."""
         try:
             found: Any = json.loads(self._path.read_text(encoding="utf-8"))
-        except FileNotFoundError:
+        except (FileNotFoundError, NotADirectoryError):
             return None
         except (OSError, ValueError, RecursionError):
             return {}

@@ -118,6 +118,7 @@ class SingleTapClient(GoalClient):
             striker_speed=striker_speed, incidence=incidence, direction=direction, slack=slack
         )
         self._handle = None
+        self._has_goal = True
         self._sent += 1
         # The goal is sent from the executor's thread. If another thread sent it, the response could
         # arrive before rclpy has registered the request, and would be lost.
