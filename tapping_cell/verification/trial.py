@@ -328,9 +328,11 @@ class Trial:
         """Token of the action goal that has not ended; 0 if there is none."""
         self._result: PositionObject.Result | None = None
         self._pressed_until = -math.inf
-        self._asked_to_clear: set[str] = set()
-        """Nodes that were asked to clear since their last stop. Such a request may be handled late
-        and is valid if the emergency stop has been released by then."""
+        self._pressed_at = -math.inf
+        self._asked_to_clear: dict[str, float] = {}
+        """Nodes that were asked to clear since their last stop, and the times of the requests. Such
+        a request may be handled late and is valid if the emergency stop has been released by
+        then."""
         self._waiting_faults: list[Fault] = []
         self._taken: dict[int, Time] = {}
         """Stamp of the last TAP command with each tap id that the tapper's process has handled."""
@@ -849,6 +851,7 @@ class Trial:
 
     def press_emergency_stop(self, duration: float) -> None:
         """Hold the emergency stop of the panel for ``duration`` s."""
+        self._pressed_at = self.scheduler.now
         self._pressed_until = max(self._pressed_until, self.scheduler.now + duration)
         self.network.publish("panel", "emergency_stop", Bool(data=True))
         self.checker.held_since = min(self.checker.held_since, self.scheduler.now)
@@ -922,7 +925,7 @@ class Trial:
             self.note_kind(f"stop of {node}")
         if process.alive and self.scheduler.now >= process.frozen_until:
             self.checker.stopped_at.setdefault(node, self.scheduler.now)
-            self._asked_to_clear.discard(node)
+            self._asked_to_clear.pop(node, None)
             if node == "scara_arm":
                 self.checker.forbid_motion()
         self.call_service(node, "~/stop")
@@ -945,7 +948,7 @@ class Trial:
         if service == "~/home":
             self.checker.ask_to_move()
         if service == "~/clear_fault":
-            self._asked_to_clear.add(node)
+            self._asked_to_clear[node] = self.scheduler.now
         if process.alive and process.logic is not None:
             self._token += 1
             process.request(service, Trigger.Request(), ("person", self._token), lambda _: None)
@@ -1014,7 +1017,7 @@ class Trial:
                 self._note(text)
         self.checker.on_publish(node, topic, message)
         if topic == "~/stop_state" and not message.stopped and node in self._asked_to_clear:
-            self._asked_to_clear.discard(node)
+            del self._asked_to_clear[node]
             if math.isinf(self.checker.held_since):
                 self._clear_stop(node)
         if topic == "tapper_state" and node == "tapper_trigger":
@@ -1095,7 +1098,9 @@ class Trial:
             self.checker.on_stop_received_by_planner()
         if topic == "emergency_stop" and message.data:
             self.checker.stopped_at.setdefault(process, now)
-            self._asked_to_clear.discard(process)
+            # A frozen process receives the stop late, and handles a later request after it.
+            if self._asked_to_clear.get(process, -math.inf) < self._pressed_at:
+                self._asked_to_clear.pop(process, None)
             if process == "tapper_trigger":
                 self._expect_stop_on_wire()
             if process == "scara_arm":

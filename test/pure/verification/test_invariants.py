@@ -73,3 +73,15 @@ def test_a_motion_requested_by_an_operator_is_not_a_violation(
     trial.recover()
     assert trial.checker.motion_allowed
     assert trial.checker.violations == []
+
+
+def test_a_clear_that_a_frozen_arm_handles_after_the_release_is_not_a_violation(
+    trial: Trial,
+) -> None:
+    """The person clears while the emergency stop is still held. The arm receives the stop, its
+    release and the clear at once, and is homed by the person."""
+    trial.freeze("scara_arm", 1.7)
+    trial.press_emergency_stop(0.9)
+    trial.scheduler.run(trial.scheduler.now + 20.0)
+    trial.recover()
+    assert trial.checker.violations == []
