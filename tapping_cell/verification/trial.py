@@ -776,6 +776,7 @@ class Trial:
 
     def _lost_process(self, node: str, crash: bool) -> None:
         self.note_kind(f"end of {node}")
+        self._asked_to_clear.pop(node, None)  # the request ends with the process
         if node == "scara_arm":
             self.checker.forbid_motion()
         if node == "tapper_trigger":
@@ -947,7 +948,7 @@ class Trial:
         process = self.processes[node]
         if service == "~/home":
             self.checker.ask_to_move()
-        if service == "~/clear_fault":
+        if service == "~/clear_fault" and process.alive:
             self._asked_to_clear[node] = self.scheduler.now
         if process.alive and process.logic is not None:
             self._token += 1
