@@ -38,14 +38,14 @@ void drive_back(struct drive *d)
 {
     if (d->phase == DRIVE_LEAVING || d->phase == DRIVE_SEEKING)
         drive_halt(d);
-    else if (d->phase == DRIVE_HOLDING && d->place == 0)
+    else if (d->phase == DRIVE_OFF || (d->phase == DRIVE_HOLDING && d->place == 0))
         return;
-    else if (d->phase != DRIVE_OFF && !d->opened)
+    else if (d->opened)
+        d->phase = DRIVE_BACK;
+    else
         /* The switch has not confirmed this short motion, so steps may be missing: find its edge. A
          * switch that is stuck must not let a stopped carriage go far. */
         leave_switch(d, 2 * FRONT_HYSTERESIS_STEPS);
-    else if (d->phase != DRIVE_OFF)
-        d->phase = DRIVE_BACK;
 }
 
 enum drive_status drive_status(const struct drive *d)

@@ -301,7 +301,6 @@ static void test_stop_and_clear(void)
     CHECK(strstr(ask("CLEAR"), ",NEEDS_PERSON,")); /* while the loop is open */
     host_wire(0);
     press_button(510);
-    press_button(600);
     CHECK(strstr(ask("CLEAR"), ",OK,UNHOMED,"));
     double place = host_carriage()->place;
     keep(1000);

@@ -288,9 +288,8 @@ class GrblDialect(LineDialect[grbl.Frame]):
             places = zip(
                 self._in_order(status.machine), self._in_order(status.offset), axes, strict=False
             )
-            if all(abs(m - o - a) <= OFFSET_TOLERANCE for m, o, a in places):
-                return status.offset
-            if status.offset == before:
+            fits = all(abs(m - o - a) <= OFFSET_TOLERANCE for m, o, a in places)
+            if fits or status.offset == before:
                 return status.offset
             before = status.offset
 
