@@ -6,7 +6,7 @@ from __future__ import annotations
 import queue
 import time
 from abc import abstractmethod
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any, ClassVar, Generic, TypeVar
 
 from action_msgs.srv import CancelGoal
@@ -99,11 +99,14 @@ class ActionFollower(ClientNode, Generic[Event]):
                 return
 
     def _send_goal(self, message: Any) -> None:
+        self._send_later(self._send, message)
+
+    def _send_later(self, send: Callable[[Any], None], message: Any) -> None:
+        """Send a goal from the executor's thread. If another thread sent it, the response could
+        arrive before rclpy has registered the request, and would then be dropped."""
         self._handle = None
         self._has_goal = True
-        # The goal is sent from the executor's thread. If another thread sent it, the response could
-        # arrive before rclpy has registered the request, and would then be dropped.
-        self._executor.create_task(self._send, message)
+        self._executor.create_task(send, message)
 
     def _send(self, message: Any) -> None:
         # Numbered here, because the executor may run the tasks in another order.

@@ -117,12 +117,7 @@ class SingleTapClient(GoalClient):
         message = SingleTap.Goal(
             striker_speed=striker_speed, incidence=incidence, direction=direction, slack=slack
         )
-        self._handle = None
-        self._has_goal = True
-        self._sent += 1
-        # The goal is sent from the executor's thread. If another thread sent it, the response could
-        # arrive before rclpy has registered the request, and would be lost.
-        self._executor.create_task(self._send_tap, message)
+        self._send_later(self._send_tap, message)
         begun = there = time.monotonic()
         try:
             while (now := time.monotonic()) < min(begun + LONGEST_TAP_S, there + LONGEST_AWAY_S):

@@ -110,13 +110,18 @@ def test_an_arm_sent_elsewhere_within_its_limits_stays_homed() -> None:
     assert np.allclose(cell.truth(), GOAL, atol=1e-3)
 
 
-@pytest.mark.parametrize("dialect", DIALECTS)
-def test_no_flip_of_one_bit_of_a_position_reply_changes_the_reading(dialect: str) -> None:
+def at_rest(dialect: str) -> tuple[ControllerCell, ArmDriver, bytes]:
+    """Return a cell whose arm rests at GOAL, its driver, and the undamaged replies of a reading."""
     cell = ControllerCell(dialect)
     driver = cell.ready()
     driver.move_to(GOAL)
     cell.wait(0.5)
-    reply = replies(cell, driver.read)
+    return cell, driver, replies(cell, driver.read)
+
+
+@pytest.mark.parametrize("dialect", DIALECTS)
+def test_no_flip_of_one_bit_of_a_position_reply_changes_the_reading(dialect: str) -> None:
+    cell, driver, reply = at_rest(dialect)
     false = Counter[str]()
     for byte in range(len(reply)):
         for bit in BITS:
@@ -141,11 +146,7 @@ def test_an_undamaged_reply_of_marlin_at_rest_is_asked_for_once() -> None:
 
 @pytest.mark.parametrize("dialect", DIALECTS)
 def test_no_flip_of_one_digit_at_the_start_of_a_move_loses_the_position(dialect: str) -> None:
-    cell = ControllerCell(dialect)
-    driver = cell.ready()
-    driver.move_to(GOAL)
-    cell.wait(0.5)
-    reply = replies(cell, driver.read)
+    cell, driver, reply = at_rest(dialect)
     digits = [n for n, byte in enumerate(reply) if chr(byte).isdigit()]
     for n, byte in enumerate(digits):
         cell.wait(0.5)

@@ -479,12 +479,17 @@ def test_a_stop_while_the_port_is_away_is_sent_as_soon_as_the_port_is_back(cell:
     cell.wait_state(ArmState.IDLE)
 
 
-def test_a_stop_source_lost_while_active_requires_a_confirmation(cell: Cell) -> None:
-    """If the panel that stopped the cell disappears, a person must confirm that they have checked
-    it before the stop can be cleared."""
+def stop_and_leave(cell: Cell) -> None:
+    """A panel asserts its stop and vanishes."""
     cell.network.publish("panel", "emergency_stop", Bool(data=True))
     cell.wait_state(ArmState.STOPPED)
     cell.network.leave("panel")
+
+
+def test_a_stop_source_lost_while_active_requires_a_confirmation(cell: Cell) -> None:
+    """If the panel that stopped the cell disappears, a person must confirm that they have checked
+    it before the stop can be cleared."""
+    stop_and_leave(cell)
     cell.run(0.5)
     first = cell.call("~/clear_fault")
     assert not first.success and "disappeared without releasing it" in first.message
@@ -495,9 +500,7 @@ def test_a_stop_source_lost_while_active_requires_a_confirmation(cell: Cell) -> 
 
 def test_a_vanished_stop_source_is_remembered_until_the_reset(cell: Cell) -> None:
     """The confirmation came too late, so the second refusal must name the publisher again."""
-    cell.network.publish("panel", "emergency_stop", Bool(data=True))
-    cell.wait_state(ArmState.STOPPED)
-    cell.network.leave("panel")
+    stop_and_leave(cell)
     cell.publish("emergency_stop", Bool(data=False))
     cell.run(0.5)
     for _ in range(2):
@@ -510,9 +513,7 @@ def test_a_vanished_stop_source_is_remembered_until_the_reset(cell: Cell) -> Non
 def test_a_second_request_to_clear_before_the_first_is_answered_is_no_confirmation(
     cell: Cell,
 ) -> None:
-    cell.network.publish("panel", "emergency_stop", Bool(data=True))
-    cell.wait_state(ArmState.STOPPED)
-    cell.network.leave("panel")
+    stop_and_leave(cell)
     cell.run(0.5)
     cell.ask("~/clear_fault")
     cell.run(0.1)
@@ -525,9 +526,7 @@ def test_a_second_request_to_clear_before_the_first_is_answered_is_no_confirmati
 
 def test_a_restart_does_not_replace_the_confirmation_of_a_vanished_stop_source(cell: Cell) -> None:
     """After the restart, another panel publishes its level False."""
-    cell.network.publish("panel", "emergency_stop", Bool(data=True))
-    cell.wait_state(ArmState.STOPPED)
-    cell.network.leave("panel")
+    stop_and_leave(cell)
     cell.process.kill()
     cell.process.start()
     cell.run(3.0)
