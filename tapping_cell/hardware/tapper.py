@@ -555,7 +555,7 @@ class TapperDriver(RecordingTapper):
     def clear(self, timeout: float = 5.0) -> Reply:
         """Clear the latched stop; the tapper also requires an action by a person at the cell.
 
-        Raises HardwareFault: NEEDS_PERSON, TIMEOUT, DISCONNECTED.
+        Raises HardwareFault: NEEDS_PERSON, STOPPED, TIMEOUT, BOARD_RESET, DISCONNECTED.
         """
         self._transport.release()
         self._stopped.clear()
@@ -564,7 +564,8 @@ class TapperDriver(RecordingTapper):
         reply = self._request(Command.CLEAR)
         if reply.result is not Result.OK:
             raise self._refusal(reply)
-        return reply
+        # A stop during ``connect`` leaves the board in the mode in which it begins a session.
+        return reply if reply.mode is self._mode else self.set_mode(self._mode)
 
     def _unknown(self, shot: int, release_by: float, why: str) -> FireResult:
         result = self._unknown_result(shot, release_by, why)

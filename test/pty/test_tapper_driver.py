@@ -393,6 +393,33 @@ def test_set_up_mode_limits_the_energy_unless_the_switch_is_held(
     assert fire(driver, 3).outcome is FireOutcome.FIRED
 
 
+def test_a_stop_while_connecting_does_not_leave_the_board_in_set_up_mode(
+    plug: Callable[..., PseudoTerminal],
+) -> None:
+    cell = Cell(plug)
+    driver = cell.driver
+    write = driver._transport.write
+
+    def stop_before_the_mode(data: bytes, timeout: float = 1.0) -> None:
+        if b",MODE," in data:
+            driver._transport.write = write  # type: ignore[method-assign]
+            driver.stop()
+        write(data, timeout)
+
+    driver._transport.write = stop_before_the_mode  # type: ignore[method-assign]
+    with pytest.raises(HardwareFault) as caught:
+        driver.connect()
+    assert caught.value.reason is FaultReason.STOPPED
+    until = time.monotonic() + 2.0
+    while cell.emulator.state != "STOPPED" and time.monotonic() < until:
+        time.sleep(0.001)
+    with cell.port.lock:
+        cell.emulator.press_clear_button(time.monotonic())
+    assert driver.clear().mode is Mode.RUN
+    driver.charge(1, 0.01)
+    assert fire(driver, 1).outcome is FireOutcome.FIRED
+
+
 def test_a_refused_shot_number_does_not_affect_the_next(
     plug: Callable[..., PseudoTerminal],
 ) -> None:
