@@ -84,6 +84,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             raise
         print(f"error: {refused}", file=sys.stderr)
         return 1
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        return 128 + signal.SIGINT
     except BrokenPipeError:
         if not _reader_has_gone():
             raise

@@ -32,7 +32,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -52,6 +52,7 @@ from tapping_cell.cli.graph import SIMULATED, own_domain
 from tapping_cell.simulation.fault_layer import FaultKind
 from tapping_cell.verification.campaign import GOALS_A_RUN
 from tapping_cell.verification.faults import ALL, Mix
+from tapping_cell.verification.worker_processes import worker_processes
 
 CHUNK = 100
 """Number of taps that a process runs before it creates a new cell. The fixed number makes the
@@ -218,7 +219,7 @@ def _taps(dialects: list[Dialect], arguments: argparse.Namespace) -> int:
     began = time.monotonic()
     total = Tally()
     chunks = _chunks(dialects, arguments)
-    with ProcessPoolExecutor(min(arguments.jobs, len(chunks))) as pool:
+    with worker_processes(min(arguments.jobs, len(chunks))) as pool:
         for future in as_completed([pool.submit(chunk) for chunk in chunks]):
             total.add(future.result())
             if not arguments.json and sys.stderr.isatty():
@@ -280,7 +281,7 @@ def _mix(arguments: argparse.Namespace) -> Mix:
 
 def _soak(dialects: list[Dialect], arguments: argparse.Namespace) -> int:
     """Run the dialects in parallel, limited by the number of processes."""
-    with ProcessPoolExecutor(min(arguments.jobs, len(dialects))) as pool:
+    with worker_processes(min(arguments.jobs, len(dialects))) as pool:
         jobs = [pool.submit(soak, d, arguments.soak, arguments.seed) for d in dialects]
         runs = [job.result() for job in jobs]
     if arguments.json:

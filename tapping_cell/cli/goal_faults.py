@@ -32,7 +32,7 @@ def run_goals(goals: int, seed: int, jobs: int, as_json: bool, mix: Mix = ALL) -
     if unknown:
         print_error(f"no such faults: {', '.join(unknown)}; choose from: {', '.join(known)}")
         return 2
-    began, printed = time.monotonic(), 0
+    began, done, printed = time.monotonic(), 0, 0
     with Progress(
         TextColumn("goals"),
         BarColumn(),
@@ -44,14 +44,19 @@ def run_goals(goals: int, seed: int, jobs: int, as_json: bool, mix: Mix = ALL) -
         bar = progress.add_task("goals", total=goals, violations=0)
 
         def show(summary: Summary) -> None:
-            nonlocal printed
+            nonlocal done, printed
             for run, violation in summary.violations[printed:]:
                 # Print it at once: a long campaign goes on, and this run can be repeated meanwhile.
                 print(f"violation in run {run}: {violation.sentence}", file=sys.stderr, flush=True)
-            printed = len(summary.violations)
-            progress.update(bar, completed=summary.goals, violations=printed)
+            done, printed = summary.goals, len(summary.violations)
+            progress.update(bar, completed=done, violations=printed)
 
-        summary = run_campaign(goals, seed, jobs, show, mix=mix)
+        try:
+            summary = run_campaign(goals, seed, jobs, show, mix=mix)
+        except KeyboardInterrupt:
+            progress.stop()
+            print(f"{done} goals were completed, with {printed} violations", file=sys.stderr)
+            raise
     wall = time.monotonic() - began
     if as_json:
         print(json.dumps(_as_json(summary, seed, wall), indent=2))
@@ -112,15 +117,20 @@ def hunt(mutant: Mutant, goals: int, seed: int, jobs: int) -> dict[str, object]:
                 [*command, "--seed", str(seed + done + job), "--core", str(job)],
                 stdout=subprocess.PIPE,
                 text=True,
+                start_new_session=True,  # Ctrl-C is handled below
             )
             for job in range(jobs)
         ]
         answers = []
-        for process in running:
-            printed, _ = process.communicate()
-            if process.returncode:
-                raise RuntimeError(f"mutant '{mutant.name}' could not be run: {printed}")
-            answers.append(json.loads(printed))
+        try:
+            for process in running:
+                printed, _ = process.communicate()
+                if process.returncode:
+                    raise RuntimeError(f"mutant '{mutant.name}' could not be run: {printed}")
+                answers.append(json.loads(printed))
+        finally:
+            for process in running:
+                process.kill()  # has no effect on a process that has ended
         done += sum(answer["goals"] for answer in answers)
         caught_by = next((a["caught by"] for a in answers if a["caught by"]), "")
     return {

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import gc
-import multiprocessing
 import os
 from collections import Counter
 from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from dataclasses import dataclass, field
-from multiprocessing.sharedctypes import Synchronized
 
 from tapping_cell.verification.faults import ALL, Mix
 from tapping_cell.verification.fixed_trial import FixedTrial
 from tapping_cell.verification.invariants import Violation
 from tapping_cell.verification.trial import Report, Trial
+from tapping_cell.verification.worker_processes import worker_processes
 
 GOALS_A_RUN = 10
 """Goals per run. A campaign is divided into runs of this length, each with its own cell and seed,
@@ -78,21 +77,13 @@ def settle_on(core: int) -> None:
     gc.set_threshold(200_000, 50, 100)
 
 
-def _settle(taken: Synchronized[int]) -> None:
-    with taken.get_lock():
-        core = taken.value
-        taken.value += 1
-    settle_on(core)
-
-
 def reports_of(runs: list[tuple[int, int]], jobs: int, mix: Mix = ALL) -> Iterator[Report]:
     """Execute runs on ``jobs`` processes and yield their reports."""
     if jobs == 1 or len(runs) == 1:
         for seed, goals in runs:
             yield run_trial(seed, goals, mix=mix)
         return
-    taken = multiprocessing.Value("i", 0)
-    with ProcessPoolExecutor(min(jobs, len(runs)), initializer=_settle, initargs=(taken,)) as pool:
+    with worker_processes(min(jobs, len(runs)), settle_on) as pool:
         for future in as_completed([pool.submit(run_trial, *run, False, mix) for run in runs]):
             yield future.result()
 

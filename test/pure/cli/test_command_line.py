@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -57,6 +58,44 @@ def test_a_closed_output_pipe_ends_a_verb_silently(unbuffered: str) -> None:
     finally:
         os.close(writing)
     assert (ended.returncode, ended.stderr) == (128 + signal.SIGPIPE, b"")
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        ("--goals", "100000", "--jobs", "2"),
+        ("--taps", "10000000", "--jobs", "2"),
+        ("--mutants", "--jobs", "2"),
+    ],
+    ids=lambda options: options[0],
+)
+def test_ctrl_c_ends_a_campaign_and_its_processes(options: tuple[str, ...]) -> None:
+    process = subprocess.Popen(
+        [sys.executable, "-m", "tapping_cell", "faults", *options],
+        start_new_session=True,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        children = Path(f"/proc/{process.pid}/task/{process.pid}/children")
+        until = time.monotonic() + 60
+        while len(children.read_text().split()) < 2 and time.monotonic() < until:
+            time.sleep(0.05)
+        started = children.read_text().split()
+        time.sleep(1.0)
+        os.killpg(process.pid, signal.SIGINT)
+        _, printed = process.communicate(timeout=20)
+    finally:
+        if process.poll() is None:
+            os.killpg(process.pid, signal.SIGKILL)
+    assert process.returncode == 130
+    assert "interrupted" in printed and "Traceback" not in printed
+    assert len(started) == 2
+    until = time.monotonic() + 5
+    while left := [child for child in started if Path(f"/proc/{child}").exists()]:
+        assert time.monotonic() < until, f"processes {left} still exist"
+        time.sleep(0.05)
 
 
 def test_an_unreadable_cell_file_is_refused_before_anything_starts(
