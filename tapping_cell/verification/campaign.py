@@ -14,6 +14,7 @@ from multiprocessing.sharedctypes import Synchronized
 from tapping_cell.verification.faults import ALL, Mix
 from tapping_cell.verification.fixed_trial import FixedTrial
 from tapping_cell.verification.invariants import Violation
+from tapping_cell.verification.table_trial import TableTrial, has_several_objects
 from tapping_cell.verification.trial import Report, Trial
 
 GOALS_A_RUN = 10
@@ -53,7 +54,11 @@ class Summary:
 
 def run_trial(seed: int, goals: int, trace: bool = False, mix: Mix = ALL) -> Report:
     """Execute one run with faults of this mix."""
-    kind = FixedTrial if mix.fixed else Trial
+    kind = Trial
+    if mix.fixed:
+        kind = FixedTrial
+    elif mix.several or has_several_objects(seed):
+        kind = TableTrial
     return kind(seed, trace, mix=mix).run(goals)
 
 

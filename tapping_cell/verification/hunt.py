@@ -34,7 +34,7 @@ def main() -> int:
 
     settle_on(arguments.core)
 
-    mix = Mix(mutant.kinds, fixed=mutant.fixed)
+    mix = Mix(mutant.kinds, fixed=mutant.fixed, several=mutant.several)
     summary = run_campaign(arguments.goals, arguments.seed, 1, stop_at_violation=True, mix=mix)
     caught = summary.violations[0][1].name if summary.violations else ""
     print(json.dumps({"goals": summary.goals, "caught by": caught}))

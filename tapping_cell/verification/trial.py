@@ -92,6 +92,7 @@ SUBSCRIPTIONS = {
         "goal_pose",
         "object_state",
         "object_states",
+        "other_objects",
         "arm_state",
         "tapper_state",
         "emergency_stop",
@@ -188,7 +189,8 @@ def shipped_cell(dialect: str = "grbl") -> Cell:
 
 
 @cache
-def _maps() -> TableMaps:
+def table_maps() -> TableMaps:
+    """Return the maps that all runs of this process share."""
     return TableMaps(shipped_cell())
 
 
@@ -310,15 +312,7 @@ class Trial:
             process.on_asked = self._on_asked
             process.on_log = self._on_log
         self._seconds: list[Process] = []
-        self.camera = Camera(
-            self.scheduler,
-            np.random.default_rng([seed, 3]),
-            self._observe,
-            lambda: self.clocks["camera_pose"].now().ros,
-            lambda state: self.network.publish("camera_pose", "object_state", state),
-            cell.object.name,
-            CAMERA_SIGMA,
-        )
+        self.camera = self._make_camera()
         self._hidden_until = -math.inf
         self._disturbed_until = -math.inf
         """Time until which a fault, possibly of an earlier goal, may have an effect."""
@@ -361,6 +355,42 @@ class Trial:
     def _make_checker(self) -> InvariantChecker:
         return InvariantChecker(self.scheduler, self.physical, self.clocks["tapper_trigger"])
 
+    def _make_camera(self) -> Camera:
+        return Camera(
+            self.scheduler,
+            np.random.default_rng([self.seed, 3]),
+            self._observe,
+            lambda: self.clocks["camera_pose"].now().ros,
+            lambda state: self.network.publish("camera_pose", "object_state", state),
+            self.cell.object.name,
+            CAMERA_SIGMA,
+        )
+
+    def _make_goals(self, now: Now) -> GoalHandling:
+        """Return the goal handling of a planner that configures itself now."""
+        return GoalHandling(
+            self.cell,
+            "",
+            OtherObjects((), 5.0, 0.002),
+            now,
+            adapt=True,
+            probe=False,
+            keep_for="",
+            time_limit=self.settings.goal_time_limit,
+            maps=table_maps(),
+            solve_in_background=False,
+        )
+
+    def _request(self, index: int, message: PoseStamped) -> tuple[str, Any]:
+        """Return the action and the request of a goal. ``index``: number of the request for the
+        checker."""
+        return "position_object", PositionObject.Goal(goal_pose=message)
+
+    def _put_back(self) -> None:
+        """Put the object back in the middle of the table."""
+        self.physical.world.place(Pose(0.0, 0.0, 0.0))
+        self.checker.moved_by_hand = (self.scheduler.now, Pose(0.0, 0.0, 0.0))
+
     def _covers(self) -> bool:
         """Choose at random whether the arm can cover the object."""
         return bool(self.rng.random() < 0.5)
@@ -393,18 +423,7 @@ class Trial:
         cell, unseen = self.cell, COVERED_S if self.arm_covers else CLEAR_VIEW_S
 
         def planner_connect(_: Any, __: float, now: Now) -> GoalHandling:
-            return GoalHandling(
-                cell,
-                "",
-                OtherObjects((), 5.0, 0.002),
-                now,
-                adapt=True,
-                probe=False,
-                keep_for="",
-                time_limit=self.settings.goal_time_limit,
-                maps=_maps(),
-                solve_in_background=False,
-            )
+            return self._make_goals(now)
 
         def arm_connect(driver: ArmDriver, patience: float, _: Now) -> arm_jobs.Reading:
             driver.connect(timeout=patience)
@@ -716,8 +735,8 @@ class Trial:
             self._result = result
             self.checker.check_result(index, result, self.cell.tolerance)
 
-        request = PositionObject.Goal(goal_pose=message)
-        process.request("position_object", request, token, ended)
+        action, request = self._request(index, message)
+        process.request(action, request, token, ended)
 
     def cancel_goal(self) -> None:
         """Cancel the action goal."""
@@ -969,8 +988,7 @@ class Trial:
             if arm.state == arm_states.IDLE and tapper.state == tapper_states.SAFE:
                 self.checker.check_outcome()
                 if self._object_lost():
-                    self.physical.world.place(Pose(0.0, 0.0, 0.0))
-                    self.checker.moved_by_hand = (self.scheduler.now, Pose(0.0, 0.0, 0.0))
+                    self._put_back()
                     continue
                 return
             if tapper.state in (tapper_states.STOPPED, tapper_states.FAULT):
