@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 from tapping_cell.logic.clock import to_nanoseconds
 from tapping_cell.logic.poses import from_message
 from tapping_cell.messages import (
+    ArmState,
     ArrangeObjects,
     ErrorCode,
     ObjectProgress,
@@ -20,12 +21,8 @@ from tapping_cell.messages import (
     TapCommand,
 )
 from tapping_cell.se2 import Pose
-from tapping_cell.verification.invariants import (
-    BUMP_M,
-    BUMP_RAD,
-    ENDED,
-    InvariantChecker,
-)
+from tapping_cell.simulation.tabletop import TrueContact
+from tapping_cell.verification.invariants import BUMP_M, ENDED, InvariantChecker
 from tapping_cell.verification.physical_cell import Release
 from tapping_cell.verification.table_cell import PhysicalTable, TableRelease
 
@@ -44,6 +41,9 @@ OVERLAP_M = 0.002
 INFORMED_S = 0.7
 """Maximum time from when the planner's process receives where another object is until no shot is
 fired for which this object is in the striker's way, s."""
+CLEAR_M = 0.02
+"""If the predicted way of a tapped object is farther than this from another object, m, the tap does
+not move the other object."""
 TAPPING = (PlanState.PLACING, PlanState.FIRING)
 
 
@@ -101,10 +101,12 @@ class TableInvariantChecker(InvariantChecker):
     commanded the tap."""
     _withdrawn: set[int] = field(default_factory=set)
     _measured: dict[str, int] = field(default_factory=dict)
-    """Stamp (ns) of the last measurement of each other object that the tapper's process received."""
+    """Stamp (ns) of the last measurement of each other object that the tapper received."""
     _arrangements_begun: set[int] = field(default_factory=set)
     _tap: int = 0
     """Id of the last tap that the planner has commanded."""
+    _contact_at: float = -math.inf
+    """Time of the last contact of two objects."""
     _struck_last: str = ""
     """Object of the last TAP of any node."""
     _goal_begun_at: float = -math.inf
@@ -275,6 +277,36 @@ class TableInvariantChecker(InvariantChecker):
 
     # Releases
 
+    def after_event(self) -> None:
+        """Check the invariants of releases, contacts, charging and motion after an event."""
+        super(TableInvariantChecker, self).after_event()
+        for contact in self._table.table.take_contacts():
+            self._contact_at = contact.time
+            self._check_contact(contact)
+
+    def _check_contact(self, contact: TrueContact) -> None:
+        """Check that the planner could not foresee this contact of two objects."""
+        release = self.physical.releases[-1] if self.physical.releases else None
+        if not isinstance(release, TableRelease) or release.shot not in self.planners:
+            return
+        command = self._command_of(release)
+        names = {contact.name, contact.other}
+        if command is None or (command.object_id or self._table.own) not in names:
+            return
+        moved = [self.others.get(name, self).moved_by_hand for name in names]
+        if any(one is not None and one[0] > release.time - self.unseen_limit for one in moved):
+            return
+        tapped = command.object_id or self._table.own
+        (other,) = names - {tapped}
+        start, end = from_message(command.object_pose), from_message(command.predicted_pose)
+        apart = _distance(release.poses[other], start, end) - 2.0 * self._table.radius
+        if apart > CLEAR_M and release.time > self.motor_weak_until:
+            self.violate(
+                "unforeseen contact",
+                f"after shot {release.shot}, '{contact.name}' hit '{contact.other}', although the"
+                f" predicted way of '{tapped}' was {1e3 * apart:.0f} mm away from it",
+            )
+
     def _check_scene(self, release: Release, command: TapCommand) -> None:
         assert isinstance(release, TableRelease)
         name = command.object_id or self._table.own
@@ -295,9 +327,13 @@ class TableInvariantChecker(InvariantChecker):
                 f" striker's way; the planner knew it for {release.time - met.since:.2f} s",
             )
 
-    def _check_view(self, message: object) -> None:
+    def _check_view(self, message: ArmState) -> None:
+        if self._contact_at > self._commanded_at:
+            # The object that was tapped has hit another one and is not where the arm expects it.
+            self._clear = message.clear_of_camera
+            return
         with self.regarding(self._struck_last):
-            super(TableInvariantChecker, self)._check_view(message)  # type: ignore[arg-type]
+            super(TableInvariantChecker, self)._check_view(message)
 
     # Reports and goals
 
@@ -384,3 +420,14 @@ class TableInvariantChecker(InvariantChecker):
                 f"'{progress.object_id}' is reported at its goal, but was measured"
                 f" {1e3 * off:.3f} mm and {math.degrees(turned):.3f} deg away from it",
             )
+
+
+def _distance(point: Pose, start: Pose, end: Pose) -> float:
+    """Return the distance of a point from the straight way between two poses, m."""
+    dx, dy = end.x - start.x, end.y - start.y
+    length = dx * dx + dy * dy
+    along = 0.0
+    if length > 0.0:
+        along = ((point.x - start.x) * dx + (point.y - start.y) * dy) / length
+    share = min(1.0, max(0.0, along))
+    return point.distance_to(Pose(start.x + share * dx, start.y + share * dy, 0.0))

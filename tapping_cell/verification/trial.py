@@ -35,6 +35,7 @@ from tapping_cell.messages import (
     Bool,
     ErrorCode,
     ObjectState,
+    ObjectStates,
     PlanState,
     PoseStamped,
     PositionObject,
@@ -255,7 +256,7 @@ class Trial:
         self.scheduler = Scheduler()
         self.report = Report(seed)
         self._tracing = trace
-        cell = self.cell = self._make_cell(seed)
+        self.cell = self._make_cell(seed)
         truth = load(TruthFile, shared_folder() / "truth" / "default.yaml")
         self.physical = self._make_physical(truth, seed)
         self.network = Network(self.scheduler, np.random.default_rng([seed, 2]), QUALITIES)
@@ -1173,7 +1174,10 @@ class Trial:
 def _short(message: Any) -> str:
     """Return a short description of a message for the trace."""
     if isinstance(message, ObjectState):
-        return f"visible={message.visible} rest={message.at_rest}"
+        name = f"{message.object_id} " if message.object_id else ""
+        return f"{name}visible={message.visible} rest={message.at_rest}"
+    if isinstance(message, ObjectStates):
+        return "; ".join(map(_short, message.objects))
     if isinstance(message, PlanState):
         return f"state={message.state} taps={message.taps} {message.error_code} {message.error_msg}"
     if isinstance(message, ArmState):
