@@ -9,6 +9,7 @@ import numpy as np
 
 from tapping_cell.messages import ErrorCode
 from tapping_cell.se2 import Pose
+from tapping_cell.verification.causes import CAMERA
 from tapping_cell.verification.fault_target import FaultTarget, Made, Maker
 from tapping_cell.verification.faults import AT_A_SHOT, MAKERS, draw_duration
 from tapping_cell.verification.table_camera import TableCamera
@@ -124,7 +125,6 @@ TABLE_AT_A_SHOT = (
     *("other object turned", "other object hidden", "other object removed") * 3,
     *("late object states",) * 3,
 )
-KINDS = frozenset(OTHERS)
 TABLE_CAUSES: dict[int, frozenset[str]] = dict.fromkeys(
     (
         ErrorCode.OBJECT_NOT_SEEN,
@@ -134,8 +134,10 @@ TABLE_CAUSES: dict[int, frozenset[str]] = dict.fromkeys(
         ErrorCode.CAMERA_SILENT,
         ErrorCode.NOT_READY,
         ErrorCode.DEADLINE_EXCEEDED,
+        ErrorCode.GOAL_IN_KEEP_OUT,
+        ErrorCode.NO_ARRANGEMENT,
     ),
-    KINDS,
+    frozenset(OTHERS) | CAMERA,
 )
 """For each error code, the kinds of faults that explain it in this cell, in addition to the kinds
 in ``causes``."""

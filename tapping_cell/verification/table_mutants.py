@@ -43,14 +43,6 @@ TABLE_MUTANTS: tuple[Mutant, ...] = (
         several=True,
     ),
     Mutant(
-        "forgets an obstacle that is hidden",
-        OTHERS,
-        "now.steady - known.seen_at > self._memory",
-        "now.steady - known.seen_at > 0.3",
-        kinds=("other object hidden",),
-        several=True,
-    ),
-    Mutant(
         "plans among the obstacles of the previous tap",
         HANDLING,
         "        self._locate_others(now)\n        self._planned_among = self.others\n",
@@ -71,7 +63,24 @@ TABLE_MUTANTS: tuple[Mutant, ...] = (
         PEERS,
         "            if moved <= limits.moved and turned <= limits.turned:\n",
         "            if self._object or (moved <= limits.moved and turned <= limits.turned):\n",
-        kinds=("other object moved", "other object turned", "slow topic"),
+        kinds=("other object moved", "other object turned"),
+        several=True,
+    ),
+    Mutant(
+        "ignores an object that is put on the table",
+        ARRANGEMENT,
+        "if before is None or not self._seen.keys() <= self._present():",
+        "if before is None:",
+        also=Mutant(
+            "does not wait for an object that is put on the table",
+            ARRANGEMENT,
+            "        for body in self.bodies:\n            monitor.watch(body.name)\n",
+            "        for body in self.bodies:\n"
+            "            if self.arrangement is not None and body.name not in present:\n"
+            "                continue\n"
+            "            monitor.watch(body.name)\n",
+        ),
+        kinds=("other object removed",),
         several=True,
     ),
     Mutant(

@@ -13,7 +13,14 @@ from tapping_cell.logic.clock import Now
 from tapping_cell.logic.goal_handling import GoalHandling
 from tapping_cell.logic.other_objects import OtherObjects
 from tapping_cell.logic.poses import to_message
-from tapping_cell.messages import ArrangeObjects, ObjectGoal, PoseStamped, PositionObject
+from tapping_cell.messages import (
+    ArrangeObjects,
+    ObjectGoal,
+    ObjectState,
+    PoseStamped,
+    PositionObject,
+    TapCommand,
+)
 from tapping_cell.planning import FreeSpace
 from tapping_cell.se2 import Pose
 from tapping_cell.simulation.truth import TruthFile
@@ -37,6 +44,9 @@ FAR_M = 0.03
 """Maximum distance of most goals from their objects, m."""
 GAP_M = 0.035
 """Minimum gap between a goal and the other objects, m."""
+APART_M = 0.02
+"""Minimum gap between two objects at the beginning of a goal, m; a person moves closer ones
+apart."""
 TRIES = 40
 
 
@@ -196,6 +206,22 @@ class TableTrial(Trial):
             time_limit=self.settings.goal_time_limit,
         )
 
+    # Taps of another program
+
+    def _state_for(self, tap_id: int) -> ObjectState | None:
+        """Return the last published state of the object of a tap."""
+        states = self._last("object_states")
+        if states is None or tap_id not in self.checker.commands:
+            return None
+        name = self.checker.commands[tap_id].object_id or self.cell.object.name
+        found: ObjectState = next(one for one in states.objects if one.object_id == name)
+        return found
+
+    def _fit_to_object(self, command: TapCommand, model: TapCommand, there: Pose) -> None:
+        """Command a tap of the same object as the last one."""
+        command.object_id = model.object_id
+        super()._fit_to_object(command, model, there)
+
     # People
 
     def _place_by_hand(self, pose: Pose) -> None:
@@ -212,7 +238,7 @@ class TableTrial(Trial):
         now = self.scheduler.now
         return any(
             name not in self.physical.absent
-            and not self.physical.is_free(name, self.physical.pose_of(name, now), 0.0)
+            and not self.physical.is_free(name, self.physical.pose_of(name, now), APART_M)
             for name in self.physical.table.worlds
         )
 

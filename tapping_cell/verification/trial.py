@@ -640,7 +640,7 @@ class Trial:
         observed pose of the object. Return None if no tap was commanded before, or if the object is
         not seen at rest."""
         last = max(self.checker.commands, default=0)
-        seen = self._last("object_state")
+        seen = self._state_for(last)
         if not last or seen is None or not (seen.visible and seen.at_rest):
             return None
         model = self.checker.commands[last]
@@ -663,6 +663,11 @@ class Trial:
         command.header.frame_id = "table"
         command.header.stamp = to_stamp(now + round(ahead * NANOSECONDS))
         return command
+
+    def _state_for(self, tap_id: int) -> ObjectState | None:
+        """Return the last published state of the object of a tap."""
+        state: ObjectState | None = self._last("object_state")
+        return state
 
     def _fit_to_object(self, command: TapCommand, model: TapCommand, there: Pose) -> None:
         """Move the poses of a tap command with the object. ``there``: motion of the object since
