@@ -107,8 +107,8 @@ class TableInvariantChecker(InvariantChecker):
     """Id of the last tap that the planner has commanded."""
     _contact_at: float = -math.inf
     """Time of the last contact of two objects."""
-    _struck_last: str = ""
-    """Object of the last TAP of any node."""
+    _served: int = 0
+    """Id of the last tap that the arm has served."""
     _goal_begun_at: float = -math.inf
 
     @property
@@ -210,12 +210,10 @@ class TableInvariantChecker(InvariantChecker):
 
     def on_publish(self, node: str, topic: str, message: object) -> None:
         """Process a message that a node publishes."""
-        if isinstance(message, TapCommand):
-            if message.request == TapCommand.TAP:
-                self._struck_last = message.object_id
-            if node == "tap_planner" and message.request == TapCommand.WITHDRAW:
+        if isinstance(message, TapCommand) and node == "tap_planner":
+            if message.request == TapCommand.WITHDRAW:
                 self._withdrawn.add(message.tap_id)
-            elif node == "tap_planner" and message.request == TapCommand.TAP:
+            elif message.request == TapCommand.TAP:
                 self._tap = message.tap_id
         super(TableInvariantChecker, self).on_publish(node, topic, message)
 
@@ -253,6 +251,8 @@ class TableInvariantChecker(InvariantChecker):
                 )
             if told.pose is None or now - told.seen > MEMORY_S - MEMORY_SLACK_S:
                 continue
+            if arranged and not told.visible and told.seen < self._goal_begun_at:
+                continue  # an arrangement begins without the objects that are not seen
             reference[name] = told.pose
             radius = self._table.radius
             if told.pose.distance_to(tip) < radius - OVERLAP_M:
@@ -328,11 +328,13 @@ class TableInvariantChecker(InvariantChecker):
             )
 
     def _check_view(self, message: ArmState) -> None:
+        self._served = message.tap_id or self._served
         if self._contact_at > self._commanded_at:
             # The object that was tapped has hit another one and is not where the arm expects it.
             self._clear = message.clear_of_camera
             return
-        with self.regarding(self._struck_last):
+        command = self.commands.get(self._served)
+        with self.regarding(command.object_id if command is not None else ""):
             super(TableInvariantChecker, self)._check_view(message)
 
     # Reports and goals
