@@ -67,23 +67,6 @@ TABLE_MUTANTS: tuple[Mutant, ...] = (
         several=True,
     ),
     Mutant(
-        "ignores an object that is put on the table",
-        ARRANGEMENT,
-        "if before is None or not self._seen.keys() <= self._present():",
-        "if before is None:",
-        also=Mutant(
-            "does not wait for an object that is put on the table",
-            ARRANGEMENT,
-            "        for body in self.bodies:\n            monitor.watch(body.name)\n",
-            "        for body in self.bodies:\n"
-            "            if self.arrangement is not None and body.name not in present:\n"
-            "                continue\n"
-            "            monitor.watch(body.name)\n",
-        ),
-        kinds=("other object removed",),
-        several=True,
-    ),
-    Mutant(
         "resumes an arrangement after a crash",
         ARRANGEMENT,
         "    resumable: ClassVar[bool] = False\n",
