@@ -114,6 +114,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "the cell with an arm (only with --goals or --replay; --mutants covers both)",
     )
     parser.add_argument(
+        "--several-objects",
+        action="store_true",
+        help="simulate only cells with two or three objects, instead of in one of ten runs (only "
+        "with --goals or --replay; not with --fixed-tappers)",
+    )
+    parser.add_argument(
         "--mutant",
         action="append",
         help="defect to test; may be given several times (only with --mutants; default: all)",
@@ -200,6 +206,8 @@ def _refusal(arguments: argparse.Namespace) -> str:
         return "--taps, --goals and --jobs must be at least 1, --seed at least 0"
     if not 1.0 <= arguments.mean_faults <= 50.0:
         return "--mean-faults must be from 1 to 50"
+    if arguments.several_objects and arguments.fixed_tappers:
+        return "--several-objects and --fixed-tappers exclude each other; give one of them"
     ways = {
         "--taps": arguments.taps is not None,
         "--goals": arguments.goals is not None,
@@ -276,7 +284,7 @@ def _chunks(dialects: list[Dialect], arguments: argparse.Namespace) -> list[Call
 def _mix(arguments: argparse.Namespace) -> Mix:
     """Return the requested kinds and mean number of faults."""
     kinds = tuple(kind.strip() for kind in arguments.only.split(",") if kind.strip())
-    return Mix(kinds, arguments.mean_faults, arguments.fixed_tappers)
+    return Mix(kinds, arguments.mean_faults, arguments.fixed_tappers, arguments.several_objects)
 
 
 def _soak(dialects: list[Dialect], arguments: argparse.Namespace) -> int:

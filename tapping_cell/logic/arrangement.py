@@ -146,15 +146,16 @@ class ArrangementTask(Task):
 
         If every object was seen, the monitor watches the present object after this call; otherwise
         it watches the first object that was not seen. An object that must not be moved is not
-        considered if it is not on the table when the task begins.
+        considered until it is seen on the table for the first time.
         """
         found = {}
-        for body in self._bodies():
+        present = self._present()
+        for body in self.bodies:
             monitor.watch(body.name)
             if not monitor.usable(after, frames, now):
                 state = monitor.object
                 absent = state is not None and not state.visible and not body.movable
-                if self.arrangement is None and absent and monitor.observed_at(now) > after:
+                if body.name not in present and absent and monitor.observed_at(now) > after:
                     continue
                 return False
             assert monitor.object is not None
@@ -178,16 +179,19 @@ class ArrangementTask(Task):
 
     def computation(self, frames: int) -> Callable[[], ArrangementDecision]:
         """Return the job that decides which object to tap and how; see ``Task.computation``."""
-        if self.arrangement is None:
-            present = [body for body in self.bodies if body.name in self._seen]
+        before = self.arrangement
+        if before is None or not self._seen.keys() <= self._present():
             self.arrangement = ArrangementSession(
-                present,
-                gains=self.known,
+                [body for body in self.bodies if body.name in self._seen],
+                gains=self.known if before is None else {**self.known, **before.gains},
                 adapt=self.adapt,
                 order=tuple(self.wanted) if self.in_order else (),
                 most_taps=self.max_taps,
                 obstacles=self.obstacles,
             )
+            if before is not None:  # another object was put on the table
+                self.arrangement.taps.update(before.taps)
+        assert self.arrangement is not None
         return functools.partial(self._compute, self.arrangement, frames)
 
     def _compute(self, arrangement: ArrangementSession, frames: int) -> ArrangementDecision:
@@ -226,8 +230,8 @@ class ArrangementTask(Task):
         return self._seen[self.object_id].pose
 
     def others_moved(self, monitor: CellMonitor, distance: float, angle: float) -> bool:
-        """Return whether an object other than the tapped object has moved since the tap was
-        planned.
+        """Return whether an object other than the tapped object has moved or appeared since the tap
+        was planned.
 
         ``distance`` in m and ``angle`` in rad are the limits.
         """
@@ -235,7 +239,7 @@ class ArrangementTask(Task):
             monitor.moved(name, observed.pose, distance, angle)
             for name, observed in self._seen.items()
             if name != self.object_id
-        )
+        ) or any(monitor.sees(body.name) for body in self.bodies if body.name not in self._seen)
 
     def learn(self, shot: Shot, pose: Pose, covariance: Array) -> None:
         """Learn from a tap of the present object."""
@@ -300,8 +304,10 @@ class ArrangementTask(Task):
             records=self.records,
         )
 
-    def _bodies(self) -> Sequence[Body]:
-        return self.bodies if self.arrangement is None else self.arrangement.bodies
+    def _present(self) -> set[str]:
+        """Return the names of the objects among which the taps are planned."""
+        bodies = () if self.arrangement is None else self.arrangement.bodies
+        return {body.name for body in bodies}
 
     def _turn_to(self, name: str) -> None:
         """Make ``name`` the present object. This object is observed and reported from now on."""

@@ -323,6 +323,11 @@ class CellMonitor:
         """Same as :meth:`seen_away_from` for the object ``name`` in ``object_states``."""
         return _away(self._states.get(name), pose, distance, angle)
 
+    def sees(self, name: str) -> bool:
+        """Return whether the last observation shows the object ``name`` of ``object_states``."""
+        state = self._states.get(name)
+        return state is not None and state.visible and not state.error_code
+
     def blind(
         self, waited: float | None, frames: int, now: Now, moved_aside: bool = False
     ) -> CodedError:

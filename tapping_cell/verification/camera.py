@@ -11,8 +11,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
-from tapping_cell.logic.clock import to_stamp
+from tapping_cell.logic.clock import to_nanoseconds, to_stamp
 from tapping_cell.logic.poses import covariance_to_message, to_message
 from tapping_cell.messages import ObjectState, PoseWithCovariance
 from tapping_cell.se2 import Pose
@@ -118,14 +119,20 @@ class Camera:
         return state
 
     def _observe(self, true: Pose | None, now: float) -> ObjectState:
-        stamp = self._ros_now()
-        state = self._state(stamp)
-        if true is None:
-            return state
-        measured = np.array(true) + self._sigma * self._rng.standard_normal(3)
-        if now < self.faults.wrong_until:
-            measured += np.array(self.faults.wrong_by)
-        motion = self._track.add(now, measured, self._covariance)
+        state = self._state(self._ros_now())
+        if true is not None:
+            off = np.array(self.faults.wrong_by) if now < self.faults.wrong_until else np.zeros(3)
+            self._measure(state, self._track, np.array(true) + off, now)
+        return state
+
+    def _measure(
+        self, state: ObjectState, track: Track, pose: NDArray[np.float64], now: float
+    ) -> None:
+        """Add the measurement of an object at a pose (x, y, theta) to its track and enter it in its
+        state."""
+        stamp = to_nanoseconds(state.header.stamp)
+        measured = pose + self._sigma * self._rng.standard_normal(3)
+        motion = track.add(now, measured, self._covariance)
         state.visible = True
         state.at_rest = motion.rest_since is not None
         state.frames_fused = motion.frames
@@ -138,4 +145,3 @@ class Camera:
         vx, vy, omega = map(float, motion.velocity)
         state.velocity.linear.x, state.velocity.linear.y = vx, vy
         state.velocity.angular.z = omega
-        return state

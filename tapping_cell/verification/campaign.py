@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from tapping_cell.verification.faults import ALL, Mix
 from tapping_cell.verification.fixed_trial import FixedTrial
 from tapping_cell.verification.invariants import Violation
+from tapping_cell.verification.table_trial import TableTrial, has_several_objects
 from tapping_cell.verification.trial import Report, Trial
 from tapping_cell.verification.worker_processes import worker_processes
 
@@ -52,7 +53,11 @@ class Summary:
 
 def run_trial(seed: int, goals: int, trace: bool = False, mix: Mix = ALL) -> Report:
     """Execute one run with faults of this mix."""
-    kind = FixedTrial if mix.fixed else Trial
+    kind = Trial
+    if mix.fixed:
+        kind = FixedTrial
+    elif mix.several or has_several_objects(seed):
+        kind = TableTrial
     return kind(seed, trace, mix=mix).run(goals)
 
 

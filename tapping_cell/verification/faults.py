@@ -49,11 +49,13 @@ CLOSEST_S = 2e-4
 class Mix:
     """Distribution of the faults. ``only``: kinds of faults, empty for all; a kind that is listed
     several times is drawn more often. ``mean``: mean number of faults per goal. ``fixed``: whether
-    the cell has fixed tappers."""
+    the cell has fixed tappers. ``several``: whether every cell has several objects; otherwise, the
+    seed selects the cells that have."""
 
     only: tuple[str, ...] = ()
     mean: float = 2.0
     fixed: bool = False
+    several: bool = False
 
 
 ALL = Mix()

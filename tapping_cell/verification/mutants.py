@@ -36,6 +36,8 @@ class Mutant:
     kinds."""
     fixed: bool = False
     """Whether the hunt runs the cell with fixed tappers."""
+    several: bool = False
+    """Whether the hunt runs only cells with several objects."""
 
 
 MUTANTS: tuple[Mutant, ...] = (

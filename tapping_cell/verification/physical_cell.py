@@ -136,20 +136,28 @@ class PhysicalCell:
 
     def _release(self, shot: int, energy: float, now: float) -> float | None:
         """Handle a release of the striker by the board."""
-        tip, height = self.tip(now)
-        self.releases.append(
-            Release(
-                shot,
-                energy,
-                now,
-                self.joints(now),
-                self.moving(now),
-                tip,
-                height,
-                self.object_pose(now),
-            )
+        release = Release(
+            shot,
+            energy,
+            now,
+            self.joints(now),
+            self.moving(now),
+            *self.tip(now),
+            self.object_pose(now),
         )
-        self.on_release()
         speed = striker_speed(self._curve, energy)
-        self.world.strike(tip, height, speed, now)
+        self.releases.append(self._described(release, speed))
+        self.on_release()
+        self._strike(release, speed)
         return self.world.gate_speed(speed)
+
+    # Methods that a cell with several objects overrides
+
+    def _described(self, release: Release, speed: float) -> Release:
+        """Return a release with the ground truth that the cell's invariants need. ``speed``: of the
+        striker, m/s."""
+        return release
+
+    def _strike(self, release: Release, speed: float) -> None:
+        """Let the released striker fly; ``speed`` in m/s."""
+        self.world.strike(release.tip, release.height, speed, release.time)

@@ -35,6 +35,7 @@ from tapping_cell.messages import (
     Bool,
     ErrorCode,
     ObjectState,
+    ObjectStates,
     PlanState,
     PoseStamped,
     PositionObject,
@@ -92,6 +93,7 @@ SUBSCRIPTIONS = {
         "goal_pose",
         "object_state",
         "object_states",
+        "other_objects",
         "arm_state",
         "tapper_state",
         "emergency_stop",
@@ -188,7 +190,8 @@ def shipped_cell(dialect: str = "grbl") -> Cell:
 
 
 @cache
-def _maps() -> TableMaps:
+def table_maps() -> TableMaps:
+    """Return the maps that all runs of this process share."""
     return TableMaps(shipped_cell())
 
 
@@ -253,7 +256,7 @@ class Trial:
         self.scheduler = Scheduler()
         self.report = Report(seed)
         self._tracing = trace
-        cell = self.cell = self._make_cell(seed)
+        self.cell = self._make_cell(seed)
         truth = load(TruthFile, shared_folder() / "truth" / "default.yaml")
         self.physical = self._make_physical(truth, seed)
         self.network = Network(self.scheduler, np.random.default_rng([seed, 2]), QUALITIES)
@@ -310,15 +313,7 @@ class Trial:
             process.on_asked = self._on_asked
             process.on_log = self._on_log
         self._seconds: list[Process] = []
-        self.camera = Camera(
-            self.scheduler,
-            np.random.default_rng([seed, 3]),
-            self._observe,
-            lambda: self.clocks["camera_pose"].now().ros,
-            lambda state: self.network.publish("camera_pose", "object_state", state),
-            cell.object.name,
-            CAMERA_SIGMA,
-        )
+        self.camera = self._make_camera()
         self._hidden_until = -math.inf
         self._disturbed_until = -math.inf
         """Time until which a fault, possibly of an earlier goal, may have an effect."""
@@ -361,6 +356,42 @@ class Trial:
     def _make_checker(self) -> InvariantChecker:
         return InvariantChecker(self.scheduler, self.physical, self.clocks["tapper_trigger"])
 
+    def _make_camera(self) -> Camera:
+        return Camera(
+            self.scheduler,
+            np.random.default_rng([self.seed, 3]),
+            self._observe,
+            lambda: self.clocks["camera_pose"].now().ros,
+            lambda state: self.network.publish("camera_pose", "object_state", state),
+            self.cell.object.name,
+            CAMERA_SIGMA,
+        )
+
+    def _make_goals(self, now: Now) -> GoalHandling:
+        """Return the goal handling of a planner that configures itself now."""
+        return GoalHandling(
+            self.cell,
+            "",
+            OtherObjects((), 5.0, 0.002),
+            now,
+            adapt=True,
+            probe=False,
+            keep_for="",
+            time_limit=self.settings.goal_time_limit,
+            maps=table_maps(),
+            solve_in_background=False,
+        )
+
+    def _request(self, index: int, message: PoseStamped) -> tuple[str, Any]:
+        """Return the action and the request of a goal. ``index``: number of the request for the
+        checker."""
+        return "position_object", PositionObject.Goal(goal_pose=message)
+
+    def _put_back(self) -> None:
+        """Put the object back in the middle of the table."""
+        self.physical.world.place(Pose(0.0, 0.0, 0.0))
+        self.checker.moved_by_hand = (self.scheduler.now, Pose(0.0, 0.0, 0.0))
+
     def _covers(self) -> bool:
         """Choose at random whether the arm can cover the object."""
         return bool(self.rng.random() < 0.5)
@@ -393,18 +424,7 @@ class Trial:
         cell, unseen = self.cell, COVERED_S if self.arm_covers else CLEAR_VIEW_S
 
         def planner_connect(_: Any, __: float, now: Now) -> GoalHandling:
-            return GoalHandling(
-                cell,
-                "",
-                OtherObjects((), 5.0, 0.002),
-                now,
-                adapt=True,
-                probe=False,
-                keep_for="",
-                time_limit=self.settings.goal_time_limit,
-                maps=_maps(),
-                solve_in_background=False,
-            )
+            return self._make_goals(now)
 
         def arm_connect(driver: ArmDriver, patience: float, _: Now) -> arm_jobs.Reading:
             driver.connect(timeout=patience)
@@ -620,7 +640,7 @@ class Trial:
         observed pose of the object. Return None if no tap was commanded before, or if the object is
         not seen at rest."""
         last = max(self.checker.commands, default=0)
-        seen = self._last("object_state")
+        seen = self._state_for(last)
         if not last or seen is None or not (seen.visible and seen.at_rest):
             return None
         model = self.checker.commands[last]
@@ -643,6 +663,11 @@ class Trial:
         command.header.frame_id = "table"
         command.header.stamp = to_stamp(now + round(ahead * NANOSECONDS))
         return command
+
+    def _state_for(self, tap_id: int) -> ObjectState | None:
+        """Return the last published state of the object of a tap."""
+        state: ObjectState | None = self._last("object_state")
+        return state
 
     def _fit_to_object(self, command: TapCommand, model: TapCommand, there: Pose) -> None:
         """Move the poses of a tap command with the object. ``there``: motion of the object since
@@ -716,8 +741,8 @@ class Trial:
             self._result = result
             self.checker.check_result(index, result, self.cell.tolerance)
 
-        request = PositionObject.Goal(goal_pose=message)
-        process.request("position_object", request, token, ended)
+        action, request = self._request(index, message)
+        process.request(action, request, token, ended)
 
     def cancel_goal(self) -> None:
         """Cancel the action goal."""
@@ -969,8 +994,7 @@ class Trial:
             if arm.state == arm_states.IDLE and tapper.state == tapper_states.SAFE:
                 self.checker.check_outcome()
                 if self._object_lost():
-                    self.physical.world.place(Pose(0.0, 0.0, 0.0))
-                    self.checker.moved_by_hand = (self.scheduler.now, Pose(0.0, 0.0, 0.0))
+                    self._put_back()
                     continue
                 return
             if tapper.state in (tapper_states.STOPPED, tapper_states.FAULT):
@@ -1155,7 +1179,10 @@ class Trial:
 def _short(message: Any) -> str:
     """Return a short description of a message for the trace."""
     if isinstance(message, ObjectState):
-        return f"visible={message.visible} rest={message.at_rest}"
+        name = f"{message.object_id} " if message.object_id else ""
+        return f"{name}visible={message.visible} rest={message.at_rest}"
+    if isinstance(message, ObjectStates):
+        return "; ".join(map(_short, message.objects))
     if isinstance(message, PlanState):
         return f"state={message.state} taps={message.taps} {message.error_code} {message.error_msg}"
     if isinstance(message, ArmState):

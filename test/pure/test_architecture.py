@@ -41,6 +41,7 @@ ARROWS = {
         "hardware",
         "planning",
         "vision.rest_detection",
+        "vision.other_objects",
         "configuration",
         "simulation",
     },

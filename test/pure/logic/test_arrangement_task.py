@@ -371,6 +371,22 @@ def test_a_missing_object_without_a_goal_is_ignored(cell: Table) -> None:
     assert cell.end().error_code == ErrorCode.NONE
 
 
+def test_an_object_that_is_put_on_the_table_cancels_the_tap_and_is_avoided(cell: Table) -> None:
+    one, _, third = cell.names
+    cell.hidden = {third}
+    goal = moved(cell.poses[one], 0.05, 0.0)
+    cell.send({one: goal})
+    cell.wait(lambda: cell.states[-1].state == PlanState.LOOKING, "it looks")
+    answer, commanded = cell._on_command, list[TapCommand]()
+    cell._on_command = commanded.append  # type: ignore[method-assign]
+    cell.wait(lambda: commanded, "a tap is commanded")
+    cell.hidden = set()
+    cell.wait(lambda: cell.states[-1].state == PlanState.SETTLING, "it gives the tap up", 1.0)
+    cell._on_command = answer  # type: ignore[method-assign]
+    assert cell.end().error_code == ErrorCode.NONE
+    assert cell.poses[one].distance_to(goal) < 0.001
+
+
 def test_a_cancelled_arrangement_ends_its_tap(cell: Table) -> None:
     one = cell.names[0]
     cell.on_tap = lambda: setattr(cell, "outcome", TapperState.NONE)

@@ -1,0 +1,143 @@
+"""Random faults of the other objects in a cell with several objects."""
+
+from __future__ import annotations
+
+import math
+from functools import partial
+
+import numpy as np
+
+from tapping_cell.messages import ErrorCode
+from tapping_cell.se2 import Pose
+from tapping_cell.verification.causes import CAMERA
+from tapping_cell.verification.fault_target import FaultTarget, Made, Maker
+from tapping_cell.verification.faults import AT_A_SHOT, MAKERS, draw_duration
+from tapping_cell.verification.table_camera import TableCamera
+from tapping_cell.verification.table_cell import PhysicalTable
+from tapping_cell.verification.table_invariants import TableInvariantChecker
+
+GAP_M = 0.01
+"""Minimum gap between an object that a hand moves and the others, m."""
+HIDDEN_S, REMOVED_S = (0.1, 4.0), (0.5, 12.0)
+"""Ranges of the time for which another object is hidden, or taken off the table, s. After 5 s
+without observation, the planner assumes that an object was removed."""
+LINKS = (
+    ("object_states", "tap_planner"),
+    ("object_states", "tapper_trigger"),
+    ("other_objects", "tap_planner"),
+)
+
+
+def _parts(trial: FaultTarget) -> tuple[PhysicalTable, TableCamera, TableInvariantChecker]:
+    table, camera, checker = trial.physical, trial.camera, trial.checker
+    assert isinstance(table, PhysicalTable) and isinstance(camera, TableCamera)
+    assert isinstance(checker, TableInvariantChecker)
+    return table, camera, checker
+
+
+def _name(rng: np.random.Generator, trial: FaultTarget) -> str:
+    others = tuple(_parts(trial)[2].others)
+    return others[int(rng.integers(len(others)))]
+
+
+def _moved(rng: np.random.Generator, trial: FaultTarget) -> Made:
+    name, way = _name(rng, trial), draw_duration(rng, 0.003, 0.06)
+    angle, turn = float(rng.uniform(-math.pi, math.pi)), float(rng.normal(0, 0.4))
+    shift = Pose(way * math.cos(angle), way * math.sin(angle), turn)
+    return partial(_shift, name=name, shift=shift), f"'{name}' is moved by {1e3 * way:.0f} mm"
+
+
+def _turned(rng: np.random.Generator, trial: FaultTarget) -> Made:
+    name, turn = _name(rng, trial), float(rng.normal(0, 0.4))
+    return partial(_shift, name=name, shift=Pose(0.0, 0.0, turn)), (
+        f"'{name}' is turned by {math.degrees(turn):.0f} deg"
+    )
+
+
+def _shift(trial: FaultTarget, name: str, shift: Pose) -> None:
+    table, _, checker = _parts(trial)
+    now = trial.scheduler.now
+    before = table.pose_of(name, now)
+    after = Pose(before.x + shift.x, before.y + shift.y, before.theta + shift.theta)
+    if name in table.absent or not table.is_free(name, after, GAP_M):
+        return
+    checker.note_hand(name, now, before)
+    table.table.place(name, after)
+
+
+def _hidden(rng: np.random.Generator, trial: FaultTarget) -> Made:
+    name, lasting = _name(rng, trial), draw_duration(rng, *HIDDEN_S)
+
+    def strike(t: FaultTarget) -> None:
+        _, camera, checker = _parts(t)
+        sight, now = checker.others[name], t.scheduler.now
+        if now >= camera.others_hidden_until[name]:
+            sight.hidden_since = min(now, sight.hidden_since)
+            camera.others_hidden_until[name] = now + lasting
+            t.scheduler.after(lasting, lambda: setattr(sight, "hidden_since", math.inf))
+
+    return strike, f"'{name}' hidden for {lasting:.2f} s"
+
+
+def _removed(rng: np.random.Generator, trial: FaultTarget) -> Made:
+    name, lasting = _name(rng, trial), draw_duration(rng, *REMOVED_S)
+
+    def strike(t: FaultTarget) -> None:
+        table, _, checker = _parts(t)
+        now = t.scheduler.now
+        before = table.pose_of(name, now)
+        if name in table.absent:
+            return
+        checker.note_hand(name, now, before)
+        table.take_away(name)
+        t.scheduler.after(lasting, partial(put_back, t, before))
+
+    def put_back(t: FaultTarget, pose: Pose) -> None:
+        table, _, checker = _parts(t)
+        checker.note_hand(name, t.scheduler.now, table.pose_of(name, t.scheduler.now))
+        table.put_back(name, pose, GAP_M)
+
+    return strike, f"'{name}' taken off the table for {lasting:.1f} s"
+
+
+def _late_states(rng: np.random.Generator, trial: FaultTarget) -> Made:
+    topic, towards = LINKS[int(rng.integers(len(LINKS)))]
+    delay, lasting = draw_duration(rng, 0.05, 2.0), draw_duration(rng, 0.2, 6.0)
+
+    def strike(t: FaultTarget) -> None:
+        t.network.faults.slow[topic, towards] = delay
+        t.scheduler.after(lasting, partial(t.network.end_delay, topic, towards))
+
+    return strike, f"{topic} to {towards} delayed by {delay:.2f} s for {lasting:.1f} s"
+
+
+OTHERS: dict[str, Maker] = {
+    "other object moved": _moved,
+    "other object turned": _turned,
+    "other object hidden": _hidden,
+    "other object removed": _removed,
+    "late object states": _late_states,
+}
+TABLE_MAKERS: dict[str, Maker] = {**MAKERS, **OTHERS}
+TABLE_AT_A_SHOT = (
+    *AT_A_SHOT,
+    *("other object moved",) * 12,
+    *("other object turned", "other object hidden", "other object removed") * 3,
+    *("late object states",) * 3,
+)
+TABLE_CAUSES: dict[int, frozenset[str]] = dict.fromkeys(
+    (
+        ErrorCode.OBJECT_NOT_SEEN,
+        ErrorCode.OBJECT_MOVED,
+        ErrorCode.OBJECT_NOT_AT_REST,
+        ErrorCode.TOO_FEW_FRAMES,
+        ErrorCode.CAMERA_SILENT,
+        ErrorCode.NOT_READY,
+        ErrorCode.DEADLINE_EXCEEDED,
+        ErrorCode.GOAL_IN_KEEP_OUT,
+        ErrorCode.NO_ARRANGEMENT,
+    ),
+    frozenset(OTHERS) | CAMERA,
+)
+"""For each error code, the kinds of faults that explain it in this cell, in addition to the kinds
+in ``causes``."""

@@ -1,0 +1,435 @@
+"""Safety invariants of a cell with several objects, in addition to those of every cell."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+
+from tapping_cell.logic.clock import to_nanoseconds
+from tapping_cell.logic.poses import from_message
+from tapping_cell.messages import (
+    ArmState,
+    ArrangeObjects,
+    ErrorCode,
+    ObjectProgress,
+    ObjectState,
+    PlanState,
+    PositionObject,
+    TapCommand,
+)
+from tapping_cell.se2 import Pose
+from tapping_cell.simulation.tabletop import TrueContact
+from tapping_cell.verification.invariants import BUMP_M, ENDED, InvariantChecker
+from tapping_cell.verification.physical_cell import Release
+from tapping_cell.verification.table_cell import PhysicalTable, TableRelease
+
+WITHDRAWN_S = 0.15
+"""Maximum time from when the planner's process receives that another object was moved until it has
+withdrawn its tap, s. The planner's timer has a period of 0.1 s."""
+MEMORY_S = 5.0
+"""Time after which the planner assumes that an object that it no longer sees was removed, s."""
+MEMORY_SLACK_S = 1.0
+"""Allowance for the age of messages when a time is compared with ``MEMORY_S``, s."""
+STALE_S = 0.1
+"""Allowance for the estimated difference of two computers' clocks when the planner decides whether
+an image was taken after a tap, s."""
+OVERLAP_M = 0.002
+"""Allowance for the errors of arm and camera when two objects, or tip and object, overlap, m."""
+INFORMED_S = 0.7
+"""Maximum time from when the planner's process receives where another object is until no shot is
+fired for which this object is in the striker's way, s."""
+CLEAR_M = 0.02
+"""If the predicted way of a tapped object is farther than this from another object, m, the tap does
+not move the other object."""
+TAPPING = (PlanState.PLACING, PlanState.FIRING)
+
+
+@dataclass(slots=True)
+class Sight:
+    """Ground truth on one object, and what the tapper's process has received about it. Times are in
+    s from the start of the run."""
+
+    hidden_since: float = math.inf
+    moved_by_hand: tuple[float, Pose] | None = None
+    seen_by_tapper: deque[tuple[float, Pose]] = field(default_factory=lambda: deque(maxlen=100))
+
+
+@dataclass(slots=True)
+class Told:
+    """Last observation of one object that the planner's process has received. Times are in s from
+    the start of the run."""
+
+    exposed: float = -math.inf
+    """Exposure of the last image in which the object was searched for."""
+    seen: float = -math.inf
+    """Exposure of the last image in which it was seen."""
+    since: float = math.inf
+    """Time at which the planner's process first received a pose that it still has, within
+    ``BUMP_M``."""
+    pose: Pose | None = None
+    at_rest: bool = False
+    visible: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """Request of a goal: names and goals of its objects."""
+
+    goals: Mapping[str, Pose]
+    arrangement: bool = False
+
+
+@dataclass(slots=True)
+class TableInvariantChecker(InvariantChecker):
+    """Checks a cell with several objects. Times are in s from the start of the run."""
+
+    others: dict[str, Sight] = field(default_factory=dict)
+    """All objects except the cell's own. The attributes of the base class are those of the cell's
+    own object."""
+    asked: dict[int, Asked] = field(default_factory=dict)
+    """Requests by their index, except goals of the cell's own object."""
+    exposed: Callable[[int], float] = lambda stamp: -math.inf
+    """Return the time of the exposure of the image with this stamp (ns)."""
+    planner_frozen_until: Callable[[], float] = lambda: -math.inf
+    told: dict[str, dict[str, Told]] = field(default_factory=dict)
+    """What the planner's process has received on each topic, by the name of the object."""
+    _planned_among: dict[int, dict[str, Pose]] = field(default_factory=dict)
+    """For each tap, the poses of the objects that the planner's process had received last when it
+    commanded the tap."""
+    _withdrawn: set[int] = field(default_factory=set)
+    _measured: dict[str, int] = field(default_factory=dict)
+    """Stamp (ns) of the last measurement of each other object that the tapper received."""
+    _arrangements_begun: set[int] = field(default_factory=set)
+    _tap: int = 0
+    """Id of the last tap that the planner has commanded."""
+    _contact_at: float = -math.inf
+    """Time of the last contact of two objects."""
+    _served: int = 0
+    """Id of the last tap that the arm has served."""
+    _goal_begun_at: float = -math.inf
+
+    @property
+    def _table(self) -> PhysicalTable:
+        assert isinstance(self.physical, PhysicalTable)
+        return self.physical
+
+    @contextmanager
+    def regarding(self, name: str) -> Iterator[None]:
+        """Apply the checks of the base class to this object (empty: the cell's own object)."""
+        table = self._table
+        if name in ("", table.own):
+            yield
+            return
+        own = self.hidden_since, self.moved_by_hand, self.seen_by_tapper
+        other = self.others[name]
+        self.hidden_since, self.moved_by_hand = other.hidden_since, other.moved_by_hand
+        self.seen_by_tapper = other.seen_by_tapper
+        try:
+            with table.regarding(name):
+                yield
+        finally:
+            self.hidden_since, self.moved_by_hand, self.seen_by_tapper = own
+
+    def add_objects(self, names: Sequence[str]) -> None:
+        """Also check these objects."""
+        self.others = {name: Sight() for name in names}
+
+    def note_hand(self, name: str, time: float, pose: Pose) -> None:
+        """Record that a hand moves an object from this pose."""
+        if name in self.others:
+            self.others[name].moved_by_hand = time, pose
+        else:
+            self.moved_by_hand = time, pose
+
+    # What the processes receive
+
+    def on_state_received_by_tapper(self, state: ObjectState) -> None:
+        """Process the state of another object that the tapper's process received. The same
+        measurement is received several times."""
+        stamp = to_nanoseconds(state.header.stamp)
+        if state.visible and stamp != self._measured.get(state.object_id):
+            self._measured[state.object_id] = stamp
+            pose = from_message(state.pose.pose)
+            self.others[state.object_id].seen_by_tapper.append((self.scheduler.now, pose))
+
+    def on_object_received_by_planner(self, topic: str, state: ObjectState) -> None:
+        """Process a measurement of an object that the planner's process received on a topic."""
+        told = self.told.setdefault(topic, {}).setdefault(state.object_id, Told())
+        exposed = self.exposed(to_nanoseconds(state.header.stamp))
+        told.exposed = max(told.exposed, exposed)
+        told.at_rest, told.visible = state.at_rest, state.visible
+        if not state.visible:
+            return
+        told.seen = max(told.seen, exposed)
+        pose = from_message(state.pose.pose)
+        if told.pose is None or told.pose.distance_to(pose) > BUMP_M:
+            told.pose, told.since = pose, self.scheduler.now
+        self._check_others_of_tap(topic, state.object_id, pose)
+
+    def _sources(self) -> tuple[str, ...]:
+        """Return the topics by which the planner observes the objects of its present goal: first
+        that of the tapped object, then that of the other objects."""
+        if self._goal is not None and self._goal in self.asked:
+            return "object_states", "object_states"
+        return "object_state", "other_objects"
+
+    def _known(self, name: str, tapped: str) -> Told:
+        first, second = self._sources()
+        topic = first if name == tapped else second
+        return self.told.get(topic, {}).get(name, Told())
+
+    def _check_others_of_tap(self, topic: str, name: str, pose: Pose) -> None:
+        """Check that the planner withdraws its tap if it receives that another object was moved
+        since it commanded the tap."""
+        tap, now = self._tap, self.scheduler.now
+        before = self._planned_among.get(tap, {}).get(name)
+        if before is None or topic != self._sources()[1] or self._waiting[0] not in TAPPING:
+            return
+        if before.distance_to(pose) <= BUMP_M or tap in self._withdrawn:
+            return
+        goal = self._goal
+
+        def check() -> None:
+            frozen = self.planner_frozen_until() > now or not math.isinf(self.planner_gone_since)
+            done = tap in self._withdrawn or self._tap != tap or self._goal != goal
+            if not frozen and not done and self._waiting[0] in TAPPING:
+                self.violate(
+                    "tap not withdrawn",
+                    f"the planner has not withdrawn tap {tap}, although it received {WITHDRAWN_S:g}"
+                    f" s ago that '{name}' was moved by {1e3 * before.distance_to(pose):.1f} mm"
+                    " after the tap was planned",
+                )
+                self._withdrawn.add(tap)
+
+        self.scheduler.after(WITHDRAWN_S, check)
+
+    # Commands
+
+    def on_publish(self, node: str, topic: str, message: object) -> None:
+        """Process a message that a node publishes."""
+        if isinstance(message, TapCommand) and node == "tap_planner":
+            if message.request == TapCommand.WITHDRAW:
+                self._withdrawn.add(message.tap_id)
+            elif message.request == TapCommand.TAP:
+                self._tap = message.tap_id
+        super(TableInvariantChecker, self).on_publish(node, topic, message)
+
+    def _check_basis(self, tap_id: int) -> None:
+        """Check that the planner commanded this tap on the basis of sufficient observations of all
+        objects, and that these observations allow the tap."""
+        command = self.commands[tap_id]
+        tapped = command.object_id or self._table.own
+        known = {name: self._known(name, tapped) for name in self._table.table.worlds}
+        arranged = self._sources()[0] == "object_states"
+        if not known[tapped].at_rest:
+            self.violate(
+                "planned while it moved",
+                f"tap {tap_id} was commanded although '{tapped}' was observed in motion",
+            )
+        now, tip = self.scheduler.now, from_message(command.strike_pose)
+        predicted = from_message(command.predicted_pose)
+        reference = self._planned_among.setdefault(tap_id, {})
+        since = max(self._goal_begun_at, self._last_shot())
+        for name, told in known.items():
+            if name == tapped:
+                continue
+            if told.exposed < since - STALE_S:
+                self.violate(
+                    "object not observed",
+                    f"tap {tap_id} was commanded, but the planner has not received an image of"
+                    f" '{name}' that was taken since the last tap or the beginning of the goal"
+                    f" ({now - since:.2f} s ago)",
+                )
+            if arranged and told.visible and not told.at_rest:
+                self.violate(
+                    "planned while it moved",
+                    f"tap {tap_id} of '{tapped}' was commanded although '{name}' was observed in"
+                    " motion",
+                )
+            if told.pose is None or now - told.seen > MEMORY_S - MEMORY_SLACK_S:
+                continue
+            if arranged and not told.visible and told.seen < self._goal_begun_at:
+                continue  # an arrangement begins without the objects that are not seen
+            reference[name] = told.pose
+            radius = self._table.radius
+            if told.pose.distance_to(tip) < radius - OVERLAP_M:
+                self.violate(
+                    "tip in another object",
+                    f"the strike pose of tap {tap_id} is inside '{name}' as the planner had last"
+                    " observed it",
+                )
+            if told.pose.distance_to(predicted) < 2.0 * radius - OVERLAP_M:
+                self.violate(
+                    "planned collision",
+                    f"after tap {tap_id}, '{tapped}' would overlap '{name}' as the planner had last"
+                    " observed it",
+                )
+
+    def _last_shot(self) -> float:
+        """Return the time of the last release for the planner's present goal."""
+        taps = self._taps.get(self._goal, []) if self._goal is not None else []
+        return max(
+            (one.time for one in self.physical.releases if one.shot in taps), default=-math.inf
+        )
+
+    # Releases
+
+    def after_event(self) -> None:
+        """Check the invariants of releases, contacts, charging and motion after an event."""
+        super(TableInvariantChecker, self).after_event()
+        for contact in self._table.table.take_contacts():
+            self._contact_at = contact.time
+            self._check_contact(contact)
+
+    def _check_contact(self, contact: TrueContact) -> None:
+        """Check that the planner could not foresee this contact of two objects."""
+        release = self.physical.releases[-1] if self.physical.releases else None
+        if not isinstance(release, TableRelease) or release.shot not in self.planners:
+            return
+        command = self._command_of(release)
+        names = {contact.name, contact.other}
+        if command is None or (command.object_id or self._table.own) not in names:
+            return
+        moved = [self.others.get(name, self).moved_by_hand for name in names]
+        if any(one is not None and one[0] > release.time - self.unseen_limit for one in moved):
+            return
+        tapped = command.object_id or self._table.own
+        (other,) = names - {tapped}
+        start, end = from_message(command.object_pose), from_message(command.predicted_pose)
+        apart = _distance(release.poses[other], start, end) - 2.0 * self._table.radius
+        if apart > CLEAR_M and release.time > self.motor_weak_until:
+            self.violate(
+                "unforeseen contact",
+                f"after shot {release.shot}, '{contact.name}' hit '{contact.other}', although the"
+                f" predicted way of '{tapped}' was {1e3 * apart:.0f} mm away from it",
+            )
+
+    def _check_scene(self, release: Release, command: TapCommand) -> None:
+        assert isinstance(release, TableRelease)
+        name = command.object_id or self._table.own
+        with self.regarding(name):
+            super(TableInvariantChecker, self)._check_scene(
+                replace(release, object_pose=release.poses[name]), command
+            )
+        if release.met in ("", name) or release.shot not in self.planners:
+            return
+        # Another object is in the striker's way. The planner must know it if it was told.
+        met = self._known(release.met, name)
+        if met.pose is None or met.pose.distance_to(release.poses[release.met]) > BUMP_M:
+            return
+        if release.time > met.since + INFORMED_S and release.time - met.seen < MEMORY_S:
+            self.violate(
+                "other object struck",
+                f"shot {release.shot} was released for '{name}', but '{release.met}' is in the"
+                f" striker's way; the planner knew it for {release.time - met.since:.2f} s",
+            )
+
+    def _check_view(self, message: ArmState) -> None:
+        self._served = message.tap_id or self._served
+        if self._contact_at > self._commanded_at:
+            # The object that was tapped has hit another one and is not where the arm expects it.
+            self._clear = message.clear_of_camera
+            return
+        command = self.commands.get(self._served)
+        with self.regarding(command.object_id if command is not None else ""):
+            super(TableInvariantChecker, self)._check_view(message)
+
+    # Reports and goals
+
+    def _begin_goal(self, message: PlanState) -> None:
+        asked = self.asked.get(self._goal) if self._goal is not None else None
+        if asked is not None:
+            return  # the present object of an arrangement changes
+        self._goal_begun_at = self.scheduler.now
+        super(TableInvariantChecker, self)._begin_goal(message)
+        assert self._goal is not None
+        begun = self.asked.get(self._goal)
+        if begun is not None and begun.arrangement:
+            if self._goal in self._arrangements_begun:
+                self.violate("arrangement resumed", "the planner began an arrangement again")
+            self._arrangements_begun.add(self._goal)
+        own = self._table.own
+        names = (own,) if begun is None else tuple(begun.goals)
+        if (message.object_id or own) not in names:
+            self.violate(
+                "goal of another object",
+                f"the planner began a goal of '{message.object_id}', but it was sent for"
+                f" {', '.join(names)}",
+            )
+
+    def _on_plan_state(self, message: PlanState) -> None:
+        if message.state in ENDED and self._goal is None and self._waiting[0] in ENDED:
+            # The report of a goal that has ended is repeated.
+            name = ""
+        else:
+            name = message.object_id
+        with self.regarding(name):
+            super(TableInvariantChecker, self)._on_plan_state(message)
+
+    def check_result(
+        self,
+        request: int,
+        result: PositionObject.Result | ArrangeObjects.Result,
+        tolerance: tuple[float, float],
+    ) -> None:
+        """Check the result of an action goal against the ground truth. ``tolerance``: m and rad."""
+        asked = self.asked.get(request)
+        if isinstance(result, PositionObject.Result):
+            with self.regarding("" if asked is None else next(iter(asked.goals))):
+                super(TableInvariantChecker, self).check_result(request, result, tolerance)
+            return
+        assert asked is not None
+        self._check_count("the result gives", request, result.taps)
+        if len(result.records) != result.taps:
+            self.violate(
+                "false count",
+                f"the result gives {result.taps} taps, but {len(result.records)} records",
+            )
+        reported = {progress.object_id: progress for progress in result.objects}
+        if result.error_code == ErrorCode.NONE:
+            for name, goal in asked.goals.items():
+                if name not in reported or reported[name].state != ObjectProgress.REACHED:
+                    self.violate(
+                        "false claim", f"the arrangement ended without '{name}' at its goal"
+                    )
+                with self.regarding(name):
+                    self._check_claim(f"the result says for '{name}'", goal, tolerance)
+        commanded = self._taps.get(request, [])
+        told = set(commanded) - self._forged
+        for name, progress in reported.items():
+            fired = sum(
+                one.shot in told and (self.commands[one.shot].object_id == name)
+                for one in self.physical.releases
+            )
+            if result.error_code == ErrorCode.NONE and progress.taps < fired:
+                self.violate(
+                    "false count",
+                    f"the result gives {progress.taps} taps of '{name}', but {fired} were fired",
+                )
+            if progress.state == ObjectProgress.REACHED:
+                self._check_progress(progress)
+
+    def _check_progress(self, progress: ObjectProgress) -> None:
+        """Check the measured pose of an object that is reported at its goal."""
+        pose, goal = from_message(progress.pose.pose), from_message(progress.goal_pose)
+        off, turned = pose.distance_to(goal), abs(pose.rotation_to(goal))
+        if off > progress.position_tolerance or turned > progress.angle_tolerance:
+            self.violate(
+                "false progress",
+                f"'{progress.object_id}' is reported at its goal, but was measured"
+                f" {1e3 * off:.3f} mm and {math.degrees(turned):.3f} deg away from it",
+            )
+
+
+def _distance(point: Pose, start: Pose, end: Pose) -> float:
+    """Return the distance of a point from the straight way between two poses, m."""
+    dx, dy = end.x - start.x, end.y - start.y
+    length = dx * dx + dy * dy
+    along = 0.0
+    if length > 0.0:
+        along = ((point.x - start.x) * dx + (point.y - start.y) * dy) / length
+    share = min(1.0, max(0.0, along))
+    return point.distance_to(Pose(start.x + share * dx, start.y + share * dy, 0.0))

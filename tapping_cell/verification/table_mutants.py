@@ -1,0 +1,85 @@
+"""Defects of a cell with several objects that its invariants must detect; see ``mutants``."""
+
+from __future__ import annotations
+
+from tapping_cell.verification.mutants import Mutant
+
+ARRANGEMENT = "tapping_cell.logic.arrangement"
+OTHERS = "tapping_cell.logic.other_objects"
+HANDLING = "tapping_cell.logic.goal_handling"
+PEERS = "tapping_cell.logic.tapper_peers"
+
+TABLE_MUTANTS: tuple[Mutant, ...] = (
+    Mutant(
+        "arranges on although another object was moved",
+        ARRANGEMENT,
+        "        return any(\n            monitor.moved(",
+        "        return False and any(\n            monitor.moved(",
+        kinds=("other object moved",),
+        several=True,
+    ),
+    Mutant(
+        "taps on although an obstacle was moved",
+        OTHERS,
+        "return any(area is not None and area not in areas for area in self.areas(now))",
+        "return False",
+        kinds=("other object moved",),
+        several=True,
+    ),
+    Mutant(
+        "plans among obstacles that were not observed",
+        OTHERS,
+        "if file.name not in self._known or self._known[file.name].observed_at <= since",
+        "if False",
+        kinds=("late object states",),
+        several=True,
+    ),
+    Mutant(
+        "arranges objects that were not all observed",
+        ARRANGEMENT,
+        "if not monitor.usable(after, frames, now):",
+        "if body.name == self.object_id and not monitor.usable(after, frames, now):",
+        kinds=("late object states", "other object moved"),
+        several=True,
+    ),
+    Mutant(
+        "plans among the obstacles of the previous tap",
+        HANDLING,
+        "        self._locate_others(now)\n        self._planned_among = self.others\n",
+        "        self._planned_among = self.other_objects.areas(now)\n",
+        kinds=("other object moved",),
+        several=True,
+    ),
+    Mutant(
+        "checks the pose of the cell's own object only",
+        PEERS,
+        "        self._object, self._height = object_id, height\n",
+        '        self._object, self._height = "", height\n',
+        kinds=("cancel",),
+        several=True,
+    ),
+    Mutant(
+        "fires at another object wherever it is",
+        PEERS,
+        "            if moved <= limits.moved and turned <= limits.turned:\n",
+        "            if self._object or (moved <= limits.moved and turned <= limits.turned):\n",
+        kinds=("other object moved", "other object turned"),
+        several=True,
+    ),
+    Mutant(
+        "resumes an arrangement after a crash",
+        ARRANGEMENT,
+        "    resumable: ClassVar[bool] = False\n",
+        "    resumable: ClassVar[bool] = True\n",
+        kinds=("kill",),
+        several=True,
+    ),
+    Mutant(
+        "reports objects at their goals that are not",
+        ARRANGEMENT,
+        "            elif name in self.arrangement.finished:\n",
+        "            elif name:\n",
+        kinds=("cancel", "emergency stop"),
+        several=True,
+    ),
+)

@@ -1,0 +1,117 @@
+"""Cells with several objects in virtual time with all faults. An inserted defect makes the checks
+fail."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+
+from tapping_cell.logic.poses import from_message
+from tapping_cell.messages import ArrangeObjects, ErrorCode, ObjectProgress
+from tapping_cell.se2 import Pose
+from tapping_cell.verification.campaign import run_trial
+from tapping_cell.verification.faults import Mix
+from tapping_cell.verification.fixed_mutants import FIXED_MUTANTS
+from tapping_cell.verification.mutants import MUTANTS, Mutant, mutated, parts_of
+from tapping_cell.verification.table_cell import TableRelease
+from tapping_cell.verification.table_faults import OTHERS, TABLE_AT_A_SHOT, TABLE_MAKERS
+from tapping_cell.verification.table_invariants import Asked
+from tapping_cell.verification.table_mutants import TABLE_MUTANTS
+from tapping_cell.verification.table_trial import (
+    SHARE_OF_TABLES,
+    TableTrial,
+    has_several_objects,
+)
+
+MIX = Mix(several=True)
+
+
+def test_the_seed_selects_the_cells_with_several_objects() -> None:
+    share = sum(map(has_several_objects, range(2000))) / 2000
+    assert share == pytest.approx(SHARE_OF_TABLES, abs=0.03)
+
+
+def test_the_same_seed_gives_the_same_trace() -> None:
+    first, second = (run_trial(7, 2, trace=True, mix=MIX) for _ in range(2))
+    assert first.trace == second.trace
+    assert len(first.trace) > 100
+
+
+def test_without_faults_every_goal_is_reached() -> None:
+    trial = TableTrial(1, faults=False)
+    report = trial.run(6)
+    assert report.violations == []
+    assert trial.short_time_limit or {goal.code for goal in report.outcomes} == {ErrorCode.NONE}
+    asked = trial.checker.asked.values()
+    assert {one.arrangement for one in asked} == {False, True}
+    assert {command.object_id for command in trial.checker.commands.values()} >= {"second disk"}
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_nothing_unsafe_happens_under_random_faults(seed: int) -> None:
+    report = run_trial(3000 + seed, 6, mix=MIX)
+    assert report.violations == []
+    assert len(report.outcomes) == 6
+
+
+def test_the_invariants_detect_violations() -> None:
+    """Modified copies of a real release and of a real command each violate an invariant."""
+    trial = TableTrial(1, faults=False)
+    assert trial.run(2).violations == []
+    checker, own = trial.checker, trial.cell.object.name
+    good = next(one for one in trial.physical.releases if one.shot in checker.planners)
+    assert isinstance(good, TableRelease)
+    command = checker.commands[good.shot]
+    name = command.object_id or own
+    other = next(each for each in good.poses if each != name)
+
+    def names() -> set[str]:
+        found = {violation.name for violation in checker.violations}
+        checker.violations.clear()
+        return found
+
+    for sight in (checker, *checker.others.values()):
+        sight.moved_by_hand = None
+    away = Pose(good.poses[name].x + 0.03, good.poses[name].y, 0.0)
+    checker._check_scene(replace(good, poses={**good.poses, name: away}), command)
+    assert "object elsewhere" in names()
+    told = checker.told["object_states"][other]
+    checker.told["other_objects"][other] = told
+    told.pose, told.since = good.poses[other], good.time - 2.0
+    checker._check_scene(replace(good, met=other), command)
+    assert "other object struck" in names()
+    told.pose, told.seen = from_message(command.strike_pose), trial.scheduler.now
+    told.exposed = -math.inf
+    checker._goal_begun_at = trial.scheduler.now
+    checker._check_basis(good.shot)
+    assert {"object not observed", "tip in another object"} <= names()
+
+
+def test_an_arrangement_must_be_where_it_says() -> None:
+    trial = TableTrial(1, faults=False)
+    trial.bring_up()
+    here = trial.physical.pose_of("second disk", trial.scheduler.now)
+    goal = Pose(here.x + 0.01, here.y, here.theta)
+    index = trial.checker.on_goal_sent(goal, by_topic=False)
+    trial.checker.asked[index] = Asked({"second disk": goal}, arrangement=True)
+    reached = ObjectProgress(object_id="second disk", state=ObjectProgress.REACHED)
+    trial.checker.check_result(index, ArrangeObjects.Result(objects=[reached]), (0.001, 0.02))
+    assert "false claim" in {violation.name for violation in trial.checker.violations}
+
+
+@pytest.mark.parametrize("mutant", TABLE_MUTANTS, ids=lambda mutant: mutant.name)
+def test_every_mutant_applies_to_the_source(mutant: Mutant) -> None:
+    for part in parts_of(mutant):
+        compile(mutated(part), "mutant", "exec")
+    assert mutant.several
+    assert set(mutant.kinds) <= set(TABLE_MAKERS)
+
+
+def test_the_names_are_unique_and_known() -> None:
+    names = [mutant.name for mutant in (*MUTANTS, *FIXED_MUTANTS, *TABLE_MUTANTS)]
+    assert len(set(names)) == len(names)
+    assert len(TABLE_MUTANTS) >= 5
+    assert set(TABLE_AT_A_SHOT) <= set(TABLE_MAKERS)
+    assert set(OTHERS) <= set(TABLE_AT_A_SHOT)
