@@ -27,6 +27,7 @@ from tapping_cell.se2 import Pose
 from tapping_cell.simulation.fault_layer import Direction, FaultKind, LineFault, random_fault
 from tapping_cell.verification.causes import BRIEFLY_OPEN, LASTING_S
 from tapping_cell.verification.fault_target import FaultTarget, Made, Maker
+from tapping_cell.verification.further_panels import PanelPress
 from tapping_cell.verification.host import PlannedFreeze
 
 SPAN_S = 16.0
@@ -705,6 +706,29 @@ def _emergency_stop(rng: np.random.Generator, trial: FaultTarget) -> Made:
     return lambda t: t.press_emergency_stop(lasting), f"emergency stop held for {lasting:.1f} s"
 
 
+def _further_panel(rng: np.random.Generator, trial: FaultTarget) -> Made:
+    """The emergency stop of a further panel is pressed. The panel is killed while it is pressed, or
+    its publisher is volatile, or both. A killed panel may be started again, released or pressed."""
+    volatile = bool(rng.random() < 0.4)
+    press = PanelPress(
+        draw_duration(rng, 0.05, 5.0),
+        volatile,
+        vanishes=not volatile or bool(rng.random() < 0.4),
+        back_after=draw_duration(rng, 0.1, 10.0) if rng.random() < 0.6 else math.inf,
+        again=bool(rng.random() < 0.3),
+        stays=draw_duration(rng, 0.5, 30.0),
+    )
+    kind = "volatile panel" if volatile else "panel"
+    end = "killed" if press.vanishes else "released"
+    back = ""
+    if press.vanishes and math.isfinite(press.back_after):
+        state = "pressed" if press.again else "released"
+        back = f", back after {press.back_after:.1f} s and {state}"
+    return lambda t: t.press_further_panel(press), (
+        f"emergency stop of a further {kind}, {end} after {press.held:.1f} s{back}"
+    )
+
+
 def _service_stop(rng: np.random.Generator, trial: FaultTarget) -> Made:
     node = _pick(rng, (trial.arm_node, "tapper_trigger"))
     return lambda t: t.call_stop(node), f"service stop of {node}"
@@ -787,6 +811,7 @@ MAKERS: dict[str, Maker] = {
     "object moved": _bump,
     "object turned": _turn,
     "emergency stop": _emergency_stop,
+    "further panel": _further_panel,
     "stop service": _service_stop,
     "stop and reset": _stop_and_reset,
     "guard": _interlock,
@@ -817,6 +842,7 @@ AT_A_SHOT = (
     "cancel",
     "camera",
     "emergency stop",
+    "further panel",
     "stop service",
     "stop and reset",
     "guard",

@@ -180,6 +180,7 @@ WITHOUT_ARM = (
     "object moved",
     "object turned",
     "emergency stop",
+    "further panel",
     "stop service",
     "stop and reset",
     "guard",
