@@ -62,6 +62,9 @@ class FaultTarget(Protocol):
     def cancel_goal(self) -> None:
         """Cancel the action goal."""
 
+    def cancel_by_service(self) -> None:
+        """Call the planner's service that ends the present goal, whoever sent it."""
+
     def freeze(self, node: str, duration: float) -> None:
         """Freeze a process."""
 

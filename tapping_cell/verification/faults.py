@@ -762,6 +762,32 @@ def _cancel(rng: np.random.Generator, trial: FaultTarget) -> Made:
     return lambda t: t.cancel_goal(), "the goal is cancelled"
 
 
+def _cancel_by_service(rng: np.random.Generator, trial: FaultTarget) -> Made:
+    """A person ends the present goal by the planner's service: the goal of the action client, that
+    of a planner that was killed shortly before, or that of another client."""
+    which = _pick(rng, ("own", "own", "crashed", "second client's"))
+    away, later = draw_duration(rng, 0.2, 5.0), draw_duration(rng, 0.05, 6.0)
+    goal = trial.draw_goal(rng) if which == "second client's" else None
+
+    def strike(t: FaultTarget) -> None:
+        if which == "own":
+            t.cancel_by_service()
+            return
+        if goal is not None:
+            t.note_kind("second client")
+            t.send_goal(goal, foreign=True)
+        else:
+            t.note_kind("kill")
+            t.kill("tap_planner", away)
+        t.scheduler.after(later if goal is not None else away + later, t.cancel_by_service)
+
+    if which == "own":
+        return strike, "the service ~/cancel is called"
+    before = "a second client sends another goal" if goal is not None else "tap_planner killed"
+    after = later if goal is not None else away + later
+    return strike, f"{before}; the service ~/cancel is called {after:.2f} s later"
+
+
 def _second_client(rng: np.random.Generator, trial: FaultTarget) -> Made:
     goal = trial.draw_goal(rng)
     return lambda t: t.send_goal(goal, foreign=True), "a second client sends another goal"
@@ -816,6 +842,7 @@ MAKERS: dict[str, Maker] = {
     "stop and reset": _stop_and_reset,
     "guard": _interlock,
     "cancel": _cancel,
+    "cancel by service": _cancel_by_service,
     "second client": _second_client,
     "disk full": _disk_full,
 }
@@ -840,6 +867,7 @@ AT_A_SHOT = (
     "motors off",
     "deactivate",
     "cancel",
+    "cancel by service",
     "camera",
     "emergency stop",
     "further panel",

@@ -185,6 +185,7 @@ WITHOUT_ARM = (
     "stop and reset",
     "guard",
     "cancel",
+    "cancel by service",
     "second client",
     "disk full",
 )

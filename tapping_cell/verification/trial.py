@@ -163,6 +163,9 @@ maximum time from the request to this stop, s."""
 SHARE_OF_STOPS_AT_A_REFUSAL, STOP_AT_A_REFUSAL_S = 0.2, (0.01, 0.9)
 """Fraction of the refusals that ask for a confirmation after which a further panel is pressed and
 vanishes, and the range of the time from the refusal to this stop, s."""
+SHARE_OF_REPEATED_REQUESTS, REPEATED_AFTER_S = 0.1, (0.02, 0.25)
+"""Fraction of the requests to clear a node that are repeated before they are answered, as by a
+double click, and the range of the time between the two requests, s."""
 SHARE_OF_ABSENCES, ABSENCE_S = 0.15, (25.0, 36.0)
 """Fraction of the refusals that ask for a confirmation after which the person does something else
 first, and the range of the duration, s. A confirmation counts for 30 s."""
@@ -762,6 +765,21 @@ class Trial:
 
         self.scheduler.after(CANCEL_S, check)
 
+    def cancel_by_service(self) -> None:
+        """Call the planner's service that ends the present goal, whoever sent it."""
+        process = self.processes["tap_planner"]
+        if not process.alive:
+            return
+        self._token += 1
+        self.note_kind("cancel")
+        process.request(
+            "~/cancel", Trigger.Request(), ("person", self._token), self._on_cancel_answered
+        )
+
+    def _on_cancel_answered(self, response: Trigger.Response) -> None:
+        self.note_kind("cancel")  # a frozen planner handles the request late
+        self.checker.on_goal_cancelled()
+
     def freeze(self, node: str, duration: float) -> None:
         """Freeze a process."""
         if node == "camera_pose":
@@ -1073,6 +1091,9 @@ class Trial:
         has cleared."""
         self._clear_stop(node)
         self.call_service(node, "~/clear_fault")
+        if self._faulty and self._people_rng.random() < SHARE_OF_REPEATED_REQUESTS:
+            later = float(self._people_rng.uniform(*REPEATED_AFTER_S))
+            self.scheduler.after(later, partial(self.call_service, node, "~/clear_fault"))
         if self._faulty and self.rng.random() < SHARE_OF_STOPS_AT_A_CLEAR:
             within = float(self.rng.uniform(0.0, STOP_AT_A_CLEAR_S))
             self.scheduler.after(within, partial(self.call_stop, node), in_main=True)
