@@ -764,9 +764,11 @@ def _cancel(rng: np.random.Generator, trial: FaultTarget) -> Made:
 
 def _cancel_by_service(rng: np.random.Generator, trial: FaultTarget) -> Made:
     """A person ends the present goal by the planner's service: the goal of the action client, that
-    of a planner that was killed shortly before, or that of another client."""
+    of another client, or that of a planner that was killed shortly before. After its restart, this
+    planner may be activated late."""
     which = _pick(rng, ("own", "own", "crashed", "second client's"))
     away, later = draw_duration(rng, 0.2, 5.0), draw_duration(rng, 0.05, 6.0)
+    inactive = draw_duration(rng, 0.1, 8.0) if rng.random() < 0.5 else 0.0
     goal = trial.draw_goal(rng) if which == "second client's" else None
 
     def strike(t: FaultTarget) -> None:
@@ -778,6 +780,9 @@ def _cancel_by_service(rng: np.random.Generator, trial: FaultTarget) -> Made:
             t.send_goal(goal, foreign=True)
         else:
             t.note_kind("kill")
+            t.note_kind("deactivate")
+            t.processes["tap_planner"].activation_delay = inactive
+            t.note_disturbance(away + inactive)
             t.kill("tap_planner", away)
         t.scheduler.after(later if goal is not None else away + later, t.cancel_by_service)
 

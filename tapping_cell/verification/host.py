@@ -174,6 +174,8 @@ class Process:
         self.freeze_after_check: float = 0.0
         """Duration of a freeze after the running job has next asked the state machine, s; 0: no
         freeze."""
+        self.activation_delay: float = 0.0
+        """Time from the next configuration of the node to its activation, s."""
         self.on_handled: Callable[[str, str, Any], None] = lambda process, topic, message: None
         """Called for every message after the state machine has handled it."""
         self.on_asked: Callable[[str, str, Any], None] = lambda process, job, answer: None
@@ -493,7 +495,15 @@ class Process:
             self._configured = True
 
         self._when_awake(handle)
-        self.lifecycle(Activated())
+        delay, self.activation_delay = self.activation_delay, 0.0
+        if delay > 0:
+            self._scheduler.after(delay, lambda: self._activate(life))
+        else:
+            self._activate(life)
+
+    def _activate(self, life: int) -> None:
+        if life == self._life:
+            self.lifecycle(Activated())
 
     def _on_tick(self, life: int) -> None:
         if life != self._life:

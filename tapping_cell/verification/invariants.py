@@ -214,6 +214,9 @@ class InvariantChecker:
     older, the tapper itself must refuse to fire."""
     charge_received: float = -math.inf
     """Time at which the arm's process last received a report that the striker is charged."""
+    over_for_arm: int = 0
+    """Id of the last tap of which the arm's process has received that it is over, while the arm
+    served this tap; 0 if there is none."""
     _struck_until: float = -math.inf
     """Time at which the most recently released striker reaches the end of its stroke."""
     _asked_to_move: bool = True
@@ -724,7 +727,19 @@ class InvariantChecker:
                     f"the arm promised to stand still for tap {request.tap_id} while it was in"
                     f" state {_ARM_STATES.get(self._arm[0], self._arm[0])} for tap {self._arm[1]}",
                 )
+            if request.tap_id == self.over_for_arm:
+                self.violate(
+                    "promise after the outcome",
+                    f"the arm promised to stand still for tap {request.tap_id} after it had"
+                    " received the outcome of this tap",
+                )
             self.promises[promise] = end
+
+    def on_outcome_received_by_arm(self, tap_id: int) -> None:
+        """Process a report, received by the arm's process, that a tap is over. Only the tap that
+        the arm serves counts."""
+        if tap_id and tap_id == self._arm[1]:
+            self.over_for_arm = tap_id
 
     def on_asked(self, process: str, job: str, answer: object | None) -> None:
         """Process the answer that a state machine gives to its running job."""

@@ -363,6 +363,9 @@ class Trial:
         a request may be handled late and is valid if the emergency stop has been released by
         then."""
         self._waiting_faults: list[Fault] = []
+        self._taps_of_arm: set[int] = set()
+        """Taps that the arm's process has received since it was last stopped or started. Only a
+        withdrawal of one of these taps may make the arm move."""
         self._taken: dict[int, Time] = {}
         """Stamp of the last TAP command with each tap id that the tapper's process has handled."""
         self._struck: list[tuple[float, str]] = []
@@ -824,6 +827,8 @@ class Trial:
         self.confirmation.on_process_lost(node)
         if node == "scara_arm":
             self.checker.forbid_motion()
+            self.checker.over_for_arm = 0
+            self._taps_of_arm.clear()
         if node == "tapper_trigger":
             self.checker.future_received.clear()
         if node == "tap_planner":
@@ -1021,6 +1026,8 @@ class Trial:
     def _on_requested(self, process: str, service: str, token: Any) -> None:
         if service == "~/stop":
             self.confirmation.on_stop(process)
+            if process == "scara_arm":
+                self._taps_of_arm.clear()
         if service == "~/clear_fault":
             volatile = self.network.volatile("emergency_stop")
             self._requests[token] = ClearRequest(process, self.scheduler.now, volatile)
@@ -1203,8 +1210,11 @@ class Trial:
             self.checker.on_state_received_by_planner(message)
         if process == "tap_planner" and topic == "object_state" and message.visible:
             self.checker.seen_moving = not message.at_rest
-        if process == "scara_arm" and topic == "tapper_state" and message.state in CHARGED:
-            self.checker.charge_received = now
+        if process == "scara_arm" and topic == "tapper_state":
+            if message.state in CHARGED:
+                self.checker.charge_received = now
+            if message.outcome in (TapperState.FIRED, TapperState.NOT_FIRED):
+                self.checker.on_outcome_received_by_arm(message.tap_id)
         if process == "tap_planner" and topic == "emergency_stop" and message.data:
             self.checker.on_stop_received_by_planner()
         if topic == "emergency_stop":
@@ -1218,6 +1228,7 @@ class Trial:
                 self._expect_stop_on_wire()
             if process == "scara_arm":
                 self.checker.forbid_motion()
+                self._taps_of_arm.clear()
         if (
             topic == "tap_command"
             and process == "tapper_trigger"
@@ -1234,10 +1245,13 @@ class Trial:
             self.checker.ended_taps.setdefault(message.tap_id, now)
 
     def _may_move_arm(self, topic: str, message: Any) -> bool:
-        """Return whether a message is allowed to make the arm move. A withdrawal without a tap id
-        must not move the arm."""
+        """Return whether a message is allowed to make the arm move. A withdrawal must not move the
+        arm unless the arm has received its tap since the last stop."""
         if topic == "tap_command":
-            return bool(message.request == TapCommand.TAP or message.tap_id)
+            if message.request == TapCommand.TAP:
+                self._taps_of_arm.add(message.tap_id)
+            of_a_tap = message.request != TapCommand.WITHDRAW and message.tap_id != 0
+            return of_a_tap or message.tap_id in self._taps_of_arm
         return topic == "joint_trajectory"
 
     def _expect_stop_on_wire(self) -> None:
