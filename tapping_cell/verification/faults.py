@@ -767,8 +767,8 @@ def _cancel_by_service(rng: np.random.Generator, trial: FaultTarget) -> Made:
     of another client, or that of a planner that was killed shortly before. After its restart, this
     planner may be activated late."""
     which = _pick(rng, ("own", "own", "crashed", "second client's"))
-    away, later = draw_duration(rng, 0.2, 5.0), draw_duration(rng, 0.05, 6.0)
-    inactive = draw_duration(rng, 0.1, 8.0) if rng.random() < 0.5 else 0.0
+    away, later = draw_duration(rng, 0.2, 5.0), float(rng.uniform(0.05, 6.0))
+    inactive = float(rng.uniform(0.5, 8.0)) if rng.random() < 0.5 else 0.0
     goal = trial.draw_goal(rng) if which == "second client's" else None
 
     def strike(t: FaultTarget) -> None:

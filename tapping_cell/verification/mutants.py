@@ -590,7 +590,7 @@ MUTANTS: tuple[Mutant, ...] = (
         "tapping_cell.logic.planner",
         "        crashed, self._resumed = self._resumed, None\n        if self._task",
         "        crashed = self._resumed\n        if self._task",
-        kinds=("cancel by service", "deactivate"),
+        kinds=("cancel by service",),
     ),
     Mutant(
         "resumes a goal that was cancelled before the planner was configured",
