@@ -646,6 +646,77 @@ MUTANTS: tuple[Mutant, ...] = (
         "if False:",
         kinds=("cancel", "emergency stop"),
     ),
+    Mutant(
+        "connects as if no stop was stored",
+        "tapping_cell.logic.device",
+        "            if self._stops.stopped:\n"
+        "                self._effects.append(StopWire())\n"
+        "                self._stop(now)\n"
+        "            else:\n"
+        "                self._connected(event.connected, now)\n",
+        "            self._connected(event.connected, now)\n",
+        kinds=("emergency stop", "kill", "restart", "stop service"),
+    ),
+    Mutant(
+        "does not latch a stop of the service",
+        "tapping_cell.logic.device",
+        "            if self._stops.press():\n"
+        "                self._keep_stops(now)\n"
+        "            self._stop(now)\n"
+        '            self._answer(token, True, "stopped',
+        '            self._stop(now)\n            self._answer(token, True, "stopped',
+        kinds=("stop service", "kill", "restart"),
+    ),
+    Mutant(
+        "promises again after the outcome of the tap",
+        "tapping_cell.logic.arm",
+        "        if self._outcome_received == request.tap_id:",
+        "        if False:",
+        kinds=("foreign outcome", "foreign hold", "foreign flood", "received by one"),
+    ),
+    Mutant(
+        "completes its motion when it is deactivated",
+        "tapping_cell.logic.arm",
+        "            self._abandon()\n            self._halting = True",
+        "            self._halting = True",
+        kinds=("deactivate",),
+    ),
+    Mutant(
+        "withdraws to any pose",
+        "tapping_cell.logic.withdrawal",
+        "        free = tried[_is_free(cell, geometry, scene, tried)]\n",
+        "        free = tried\n",
+        kinds=("cancel",),
+    ),
+    Mutant(
+        "takes the outcome of another tap",
+        "tapping_cell.logic.cell_monitor",
+        "return tapper if tapper is not None and tapper.tap_id == tap_id else None",
+        "return tapper",
+        kinds=("slow topic", "foreign command", "foreign outcome"),
+    ),
+    Mutant(
+        "accepts clocks that are ahead",
+        "tapping_cell.logic.peer_clock",
+        "if abs(skew) > SKEW_LIMIT_S:",
+        "if skew > SKEW_LIMIT_S:",
+        kinds=("clock step",),
+    ),
+    Mutant(
+        "never forgets the smallest delay",
+        "tapping_cell.logic.peer_clock",
+        "        while self._delays[0][0] < now.steady - WINDOW_S:\n"
+        "            self._delays.popleft()\n",
+        "",
+        kinds=("clock step",),
+    ),
+    Mutant(
+        "does not count the taps before a crash",
+        "tapping_cell.logic.task",
+        "return self.earlier_taps + len(self.records)",
+        "return len(self.records)",
+        kinds=("kill",),
+    ),
 )
 
 
