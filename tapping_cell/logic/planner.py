@@ -549,6 +549,7 @@ class PlannerLogic:
                 "max_taps": task.max_taps,
                 "taps": task.taps + (self._shot is not None),
                 "time_left": task.expires - now.steady,
+                "kept_at": now.ros,
                 "ask": self._asks(task),
                 "object_id": task.object_id,
             }
@@ -577,7 +578,9 @@ class PlannerLogic:
         try:
             message = PoseStamped(pose=to_message(Pose(*map(float, kept["goal"]))))
             position, angle = (float(value) for value in kept["tolerance"])
-            limit = max(float(kept["time_left"]) - event.kept_goal_age, 1.0)
+            # After the goal was stored, only the time of the file was updated.
+            passed = 1e-9 * (now.ros - int(kept.get("kept_at", now.ros)))
+            limit = max(float(kept["time_left"]) - max(passed, event.kept_goal_age), 1.0)
             most, ask = int(kept["max_taps"]), bool(kept["ask"])
             name = str(kept["object_id"])
             taps = int(kept.get("taps", 0))  # earlier versions did not store it

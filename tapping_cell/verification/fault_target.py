@@ -10,6 +10,7 @@ import numpy as np
 from tapping_cell.configuration.cell import Cell
 from tapping_cell.se2 import Pose
 from tapping_cell.verification.camera import Camera
+from tapping_cell.verification.further_panels import PanelPress
 from tapping_cell.verification.host import HostClock, Process
 from tapping_cell.verification.invariants import InvariantChecker
 from tapping_cell.verification.network import Network
@@ -61,6 +62,9 @@ class FaultTarget(Protocol):
     def cancel_goal(self) -> None:
         """Cancel the action goal."""
 
+    def cancel_by_service(self) -> None:
+        """Call the planner's service that ends the present goal, whoever sent it."""
+
     def freeze(self, node: str, duration: float) -> None:
         """Freeze a process."""
 
@@ -82,6 +86,9 @@ class FaultTarget(Protocol):
 
     def press_emergency_stop(self, duration: float) -> None:
         """Hold the emergency stop of the panel for ``duration`` s."""
+
+    def press_further_panel(self, press: PanelPress) -> None:
+        """Press the emergency stop of a further panel, which may vanish while it is pressed."""
 
     def interrupt_tapper_power(self) -> None:
         """Interrupt the power of the tapper's board, so that the board also loses its latched

@@ -27,6 +27,7 @@ from tapping_cell.se2 import Pose
 from tapping_cell.simulation.fault_layer import Direction, FaultKind, LineFault, random_fault
 from tapping_cell.verification.causes import BRIEFLY_OPEN, LASTING_S
 from tapping_cell.verification.fault_target import FaultTarget, Made, Maker
+from tapping_cell.verification.further_panels import PanelPress
 from tapping_cell.verification.host import PlannedFreeze
 
 SPAN_S = 16.0
@@ -707,6 +708,29 @@ def _emergency_stop(rng: np.random.Generator, trial: FaultTarget) -> Made:
     return lambda t: t.press_emergency_stop(lasting), f"emergency stop held for {lasting:.1f} s"
 
 
+def _further_panel(rng: np.random.Generator, trial: FaultTarget) -> Made:
+    """The emergency stop of a further panel is pressed. The panel is killed while it is pressed, or
+    its publisher is volatile, or both. A killed panel may be started again, released or pressed."""
+    volatile = bool(rng.random() < 0.4)
+    press = PanelPress(
+        draw_duration(rng, 0.05, 5.0),
+        volatile,
+        vanishes=not volatile or bool(rng.random() < 0.4),
+        back_after=draw_duration(rng, 0.1, 10.0) if rng.random() < 0.6 else math.inf,
+        again=bool(rng.random() < 0.3),
+        stays=draw_duration(rng, 0.5, 30.0),
+    )
+    kind = "volatile panel" if volatile else "panel"
+    end = "killed" if press.vanishes else "released"
+    back = ""
+    if press.vanishes and math.isfinite(press.back_after):
+        state = "pressed" if press.again else "released"
+        back = f", back after {press.back_after:.1f} s and {state}"
+    return lambda t: t.press_further_panel(press), (
+        f"emergency stop of a further {kind}, {end} after {press.held:.1f} s{back}"
+    )
+
+
 def _service_stop(rng: np.random.Generator, trial: FaultTarget) -> Made:
     node = _pick(rng, (trial.arm_node, "tapper_trigger"))
     return lambda t: t.call_stop(node), f"service stop of {node}"
@@ -738,6 +762,37 @@ def _interlock(rng: np.random.Generator, trial: FaultTarget) -> Made:
 
 def _cancel(rng: np.random.Generator, trial: FaultTarget) -> Made:
     return lambda t: t.cancel_goal(), "the goal is cancelled"
+
+
+def _cancel_by_service(rng: np.random.Generator, trial: FaultTarget) -> Made:
+    """A person ends the present goal by the planner's service: the goal of the action client, that
+    of another client, or that of a planner that was killed shortly before. After its restart, this
+    planner may be activated late."""
+    which = _pick(rng, ("own", "own", "crashed", "second client's"))
+    away, later = draw_duration(rng, 0.2, 5.0), float(rng.uniform(0.05, 6.0))
+    inactive = float(rng.uniform(0.5, 8.0)) if rng.random() < 0.5 else 0.0
+    goal = trial.draw_goal(rng) if which == "second client's" else None
+
+    def strike(t: FaultTarget) -> None:
+        if which == "own":
+            t.cancel_by_service()
+            return
+        if goal is not None:
+            t.note_kind("second client")
+            t.send_goal(goal, foreign=True)
+        else:
+            t.note_kind("kill")
+            t.note_kind("deactivate")
+            t.processes["tap_planner"].activation_delay = inactive
+            t.note_disturbance(away + inactive)
+            t.kill("tap_planner", away)
+        t.scheduler.after(later if goal is not None else away + later, t.cancel_by_service)
+
+    if which == "own":
+        return strike, "the service ~/cancel is called"
+    before = "a second client sends another goal" if goal is not None else "tap_planner killed"
+    after = later if goal is not None else away + later
+    return strike, f"{before}; the service ~/cancel is called {after:.2f} s later"
 
 
 def _second_client(rng: np.random.Generator, trial: FaultTarget) -> Made:
@@ -789,10 +844,12 @@ MAKERS: dict[str, Maker] = {
     "object moved": _bump,
     "object turned": _turn,
     "emergency stop": _emergency_stop,
+    "further panel": _further_panel,
     "stop service": _service_stop,
     "stop and reset": _stop_and_reset,
     "guard": _interlock,
     "cancel": _cancel,
+    "cancel by service": _cancel_by_service,
     "second client": _second_client,
     "disk full": _disk_full,
 }
@@ -817,8 +874,10 @@ AT_A_SHOT = (
     "motors off",
     "deactivate",
     "cancel",
+    "cancel by service",
     "camera",
     "emergency stop",
+    "further panel",
     "stop service",
     "stop and reset",
     "guard",

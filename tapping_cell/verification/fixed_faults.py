@@ -180,10 +180,12 @@ WITHOUT_ARM = (
     "object moved",
     "object turned",
     "emergency stop",
+    "further panel",
     "stop service",
     "stop and reset",
     "guard",
     "cancel",
+    "cancel by service",
     "second client",
     "disk full",
 )

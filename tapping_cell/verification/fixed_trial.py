@@ -215,12 +215,13 @@ class FixedTrial(Trial):
     def recover(self) -> None:
         """Recover the cell as a person would, until it is ready for a goal: inspect it, press the
         clear buttons, and clear faults."""
+        self._away_until = -math.inf
         until = self.scheduler.now + RECOVERY_S
         while self.scheduler.now < until:
             self.scheduler.run(self.scheduler.now + 1.0)
             tapper = self._last("tapper_state")
             alive = all(process.alive and process.active for process in self.processes.values())
-            if not alive or tapper is None or self.scheduler.now < self._pressed_until:
+            if not alive or tapper is None or self._waits():
                 continue
             if tapper.state == TapperState.SAFE and tapper.mounts_proven and not tapper.away:
                 self.checker.check_outcome()

@@ -174,11 +174,16 @@ class Process:
         self.freeze_after_check: float = 0.0
         """Duration of a freeze after the running job has next asked the state machine, s; 0: no
         freeze."""
+        self.activation_delay: float = 0.0
+        """Time from the next configuration of the node to its activation, s."""
         self.on_handled: Callable[[str, str, Any], None] = lambda process, topic, message: None
         """Called for every message after the state machine has handled it."""
         self.on_asked: Callable[[str, str, Any], None] = lambda process, job, answer: None
         """Called with process, job and answer whenever the state machine has answered its running
         job."""
+        self.on_requested: Callable[[str, str, Any], None] = lambda process, service, token: None
+        """Called with process, service and token when the process receives a request, before the
+        state machine handles it."""
         self.on_log: Callable[[str, str], None] = lambda process, sentence: None
         self.freezes = 0
         self.defects: list[str] = []
@@ -318,11 +323,12 @@ class Process:
         if waits:
             self._answers[token] = answer
         unanswered = UnansweredRequest(service, request, token) if waits else None
-        self._when_awake(
-            lambda: self._handle(
-                self.logic.on_request, service, request, token, unanswered=unanswered
-            )
-        )
+
+        def handle() -> None:
+            self.on_requested(self.name, service, token)
+            self._handle(self.logic.on_request, service, request, token, unanswered=unanswered)
+
+        self._when_awake(handle)
 
     # Received messages
 
@@ -339,11 +345,7 @@ class Process:
 
     def _take(self, topic: str, message: Any) -> None:
         if topic == "emergency_stop" and isinstance(message, Bool) and message.data:
-            self._stop_publishers |= {
-                name
-                for name, level in self._network.latched("emergency_stop").items()
-                if level.data
-            }
+            self._stop_publishers |= self._present_publishers()
         self._handle(self.logic.on_message, topic, message)
         self.on_handled(self.name, topic, message)
 
@@ -462,12 +464,17 @@ class Process:
     def _report_stops(self, token: Any, life: int) -> None:
         if life != self._life:
             return
-        levels = self._network.latched("emergency_stop")
-        absent = tuple(sorted(self._stop_publishers - set(levels)))
-        answer = StopLevels(
-            any(level.data for level in levels.values()), tuple(sorted(levels)), absent
-        )
+        levels = self._network.latched("emergency_stop").values()
+        present, stopped = self._present_publishers(), self._stop_publishers
+        several = len(present | stopped) > 1
+        silent = self._network.volatile("emergency_stop") if several else frozenset()
+        names = (tuple(sorted(group)) for group in (present, stopped - present, silent))
+        answer = StopLevels(any(level.data for level in levels), *names)
         self._when_awake(lambda: self._handle(self.logic.on_answer, token, answer))
+
+    def _present_publishers(self) -> set[str]:
+        topic = "emergency_stop"
+        return {*self._network.latched(topic), *self._network.volatile(topic)}
 
     # Start of the node, and timer events
 
@@ -488,7 +495,15 @@ class Process:
             self._configured = True
 
         self._when_awake(handle)
-        self.lifecycle(Activated())
+        delay, self.activation_delay = self.activation_delay, 0.0
+        if delay > 0:
+            self._scheduler.after(delay, lambda: self._activate(life))
+        else:
+            self._activate(life)
+
+    def _activate(self, life: int) -> None:
+        if life == self._life:
+            self.lifecycle(Activated())
 
     def _on_tick(self, life: int) -> None:
         if life != self._life:

@@ -214,6 +214,9 @@ class InvariantChecker:
     older, the tapper itself must refuse to fire."""
     charge_received: float = -math.inf
     """Time at which the arm's process last received a report that the striker is charged."""
+    over_for_arm: int = 0
+    """Id of the last tap of which the arm's process has received that it is over, while the arm
+    served this tap; 0 if there is none."""
     _struck_until: float = -math.inf
     """Time at which the most recently released striker reaches the end of its stroke."""
     _asked_to_move: bool = True
@@ -248,6 +251,11 @@ class InvariantChecker:
     """Last message of the tapper."""
     _crashed: tuple[int, float] | None = None
     """Goal that the planner had when its process was killed, and the time of the crash."""
+    _is_crashed_cancelled: bool = False
+    """Whether a person has cancelled the goal of the planner that crashed."""
+    _tap_to_withdraw: int = 0
+    """Id of the tap that the planner's process has commanded but not withdrawn; 0 if there is
+    none."""
     _stops: set[int] = field(default_factory=set)
     """Stamps (ns) of the states that arm and tapper have published since they were stopped during
     the present goal. Each of these states must tell the planner of the stop, because the planner
@@ -267,6 +275,8 @@ class InvariantChecker:
     def on_publish(self, node: str, topic: str, message: object) -> None:
         """Process a message that a node publishes."""
         if isinstance(message, TapCommand):
+            if node == "tap_planner":
+                self._note_tap(message)
             if message.request == TapCommand.TAP:
                 if message.tap_id not in self.commands:  # not a repetition
                     self._commanded_at = self.scheduler.now
@@ -717,7 +727,19 @@ class InvariantChecker:
                     f"the arm promised to stand still for tap {request.tap_id} while it was in"
                     f" state {_ARM_STATES.get(self._arm[0], self._arm[0])} for tap {self._arm[1]}",
                 )
+            if request.tap_id == self.over_for_arm:
+                self.violate(
+                    "promise after the outcome",
+                    f"the arm promised to stand still for tap {request.tap_id} after it had"
+                    " received the outcome of this tap",
+                )
             self.promises[promise] = end
+
+    def on_outcome_received_by_arm(self, tap_id: int) -> None:
+        """Process a report, received by the arm's process, that a tap is over. Only the tap that
+        the arm serves counts."""
+        if tap_id and tap_id == self._arm[1]:
+            self.over_for_arm = tap_id
 
     def on_asked(self, process: str, job: str, answer: object | None) -> None:
         """Process the answer that a state machine gives to its running job."""
@@ -734,11 +756,25 @@ class InvariantChecker:
         """Process the end of the planner's process. After a crash, the planner may resume its
         goal."""
         self.planner_gone_since = self.scheduler.now
+        self._tap_to_withdraw = 0
         goal, self._goal = self._goal, None
         if not crash:
             self._crashed = None
         elif goal is not None:  # otherwise the crash of an earlier process may still be pending
-            self._crashed = goal, self.scheduler.now
+            self._crashed, self._is_crashed_cancelled = (goal, self.scheduler.now), False
+
+    def on_goal_cancelled(self) -> None:
+        """Process that the planner has answered a person's request to end the present goal."""
+        if self._goal is not None:
+            self.violate("cancel without effect", "the cancelled goal has not ended")
+        self._is_crashed_cancelled = True
+
+    def _note_tap(self, message: TapCommand) -> None:
+        """Process a command of the planner's process."""
+        if message.request == TapCommand.TAP:
+            self._tap_to_withdraw = message.tap_id
+        elif message.request == TapCommand.WITHDRAW and message.tap_id == self._tap_to_withdraw:
+            self._tap_to_withdraw = 0
 
     def _note_stop(self, node: str, message: ArmState | TapperState, stopped: bool) -> None:
         """Process a state of arm or tapper with respect to stops."""
@@ -771,8 +807,14 @@ class InvariantChecker:
         self._told_to_stop = False
         self._stops.clear()
         self._stopped.clear()
+        crashed = self._crashed
+        if crashed is not None and crashed[0] == self._goal and self._is_crashed_cancelled:
+            self.violate(
+                "cancelled goal resumed",
+                "the planner resumed the goal of a planner that crashed, although a person had"
+                " cancelled this goal",
+            )
         if self._goal in self._begun and not self._requests[self._goal][1]:
-            crashed = self._crashed
             if crashed is None or crashed[0] != self._goal:
                 self.violate(
                     "goal begun again", "the planner began a goal again that had already ended"
@@ -884,12 +926,22 @@ class InvariantChecker:
         if message.state in ENDED:
             if self._goal is not None:
                 self._check_count("the planner reports", self._goal, message.taps)
+                self._check_withdrawn()
             self._goal = None
         elif self._goal is None or before[1:] != after[1:]:
             self._begin_goal(message)
         if message.state == PlanState.REACHED and before[0] != PlanState.REACHED:
             tolerance = message.position_tolerance, message.angle_tolerance
             self._check_claim("the planner reports", from_message(message.goal.pose), tolerance)
+
+    def _check_withdrawn(self) -> None:
+        """Check that no tap of the goal that has just ended can still be fired."""
+        tap_id, self._tap_to_withdraw = self._tap_to_withdraw, 0
+        if tap_id:
+            self.violate(
+                "tap outlives its goal",
+                f"the planner has ended its goal without withdrawing tap {tap_id}",
+            )
 
     def _check_claim(self, who: str, goal: Pose, tolerance: tuple[float, float]) -> None:
         """Check that the object is truly at the goal, within these tolerances (m and rad)."""

@@ -216,6 +216,62 @@ MUTANTS: tuple[Mutant, ...] = (
         "if False:",
     ),
     Mutant(
+        "clears a stop of unknown level without a confirmation",
+        "tapping_cell.logic.stops",
+        "        if doubt and not request.confirms:\n",
+        "        if False:\n",
+        kinds=("further panel",),
+    ),
+    Mutant(
+        "keeps a confirmation when a new stop arrives",
+        "tapping_cell.logic.stops",
+        "        self._received += 1\n        self._confirm_until = -math.inf\n",
+        "        self._received += 1\n",
+        kinds=("further panel",),
+    ),
+    Mutant(
+        "keeps a confirmation without a limit",
+        "tapping_cell.logic.stops",
+        "now.steady <= self._confirm_until",
+        "math.isfinite(self._confirm_until)",
+        kinds=("further panel",),
+    ),
+    Mutant(
+        "counts a request made before the refusal as a confirmation",
+        "tapping_cell.logic.stops",
+        "if doubt and not request.confirms:",
+        "if doubt and not now.steady <= self._confirm_until:",
+        kinds=("further panel",),
+    ),
+    Mutant(
+        "ignores publishers that do not repeat their level",
+        "tapping_cell.logic.stops",
+        "        if levels.silent:\n",
+        "        if False:\n",
+        kinds=("further panel",),
+    ),
+    Mutant(
+        "ignores publishers that have vanished",
+        "tapping_cell.logic.stops",
+        "if self._asserted or levels.gone:",
+        "if self._asserted:",
+        kinds=("further panel",),
+    ),
+    Mutant(
+        "ignores the last level if its publisher is not known",
+        "tapping_cell.logic.stops",
+        "if self._asserted or levels.gone:",
+        "if levels.gone:",
+        kinds=("further panel", "freeze", "slow topic"),
+    ),
+    Mutant(
+        "forgets at a restart that the publishers of a stop are not known",
+        "tapping_cell.logic.stops",
+        "        self._publishers_unknown = TOPIC in names or RESTART in names\n",
+        "",
+        kinds=("further panel", "kill"),
+    ),
+    Mutant(
         "does not notice a stop that was cleared while the planner was frozen",
         "tapping_cell.logic.cell_monitor",
         "        if stamp in known:\n",
@@ -525,6 +581,35 @@ MUTANTS: tuple[Mutant, ...] = (
         kinds=("cancel",),
     ),
     Mutant(
+        "ignores the service that ends the present goal",
+        "tapping_cell.logic.planner",
+        "        if self._task is not None:\n            self._cancel(now)\n        else:\n",
+        "        if True:\n",
+        kinds=("cancel by service",),
+    ),
+    Mutant(
+        "resumes a goal that was cancelled after a crash",
+        "tapping_cell.logic.planner",
+        "        crashed, self._resumed = self._resumed, None\n        if self._task",
+        "        crashed = self._resumed\n        if self._task",
+        kinds=("cancel by service",),
+    ),
+    Mutant(
+        "resumes a goal that was cancelled before the planner was configured",
+        "tapping_cell.logic.planner",
+        "            # Before the node is configured, the stored goal is still on disk.\n"
+        "            self._effects.append(KeepGoal(None))\n",
+        "",
+        kinds=("cancel by service",),
+    ),
+    Mutant(
+        "does not withdraw the tap of a cancelled goal",
+        "tapping_cell.logic.planner",
+        "        self._end_tap(now)\n        self._finish(S.CANCELED, ErrorCode.GOAL_CANCELED",
+        "        self._finish(S.CANCELED, ErrorCode.GOAL_CANCELED",
+        kinds=("cancel by service", "cancel"),
+    ),
+    Mutant(
         "calls a failed goal a success",
         "tapping_cell.logic.planner",
         "            self._fail(*fault, now)\n"
@@ -562,6 +647,77 @@ MUTANTS: tuple[Mutant, ...] = (
         "if shot.outcome in (TapperState.FIRED, TapperState.UNKNOWN):",
         "if False:",
         kinds=("cancel", "emergency stop"),
+    ),
+    Mutant(
+        "connects as if no stop was stored",
+        "tapping_cell.logic.device",
+        "            if self._stops.stopped:\n"
+        "                self._effects.append(StopWire())\n"
+        "                self._stop(now)\n"
+        "            else:\n"
+        "                self._connected(event.connected, now)\n",
+        "            self._connected(event.connected, now)\n",
+        kinds=("emergency stop", "kill", "restart", "stop service"),
+    ),
+    Mutant(
+        "does not latch a stop of the service",
+        "tapping_cell.logic.device",
+        "            if self._stops.press():\n"
+        "                self._keep_stops(now)\n"
+        "            self._stop(now)\n"
+        '            self._answer(token, True, "stopped',
+        '            self._stop(now)\n            self._answer(token, True, "stopped',
+        kinds=("stop service", "kill", "restart"),
+    ),
+    Mutant(
+        "promises again after the outcome of the tap",
+        "tapping_cell.logic.arm",
+        "        if self._outcome_received == request.tap_id:",
+        "        if False:",
+        kinds=("foreign outcome", "foreign hold", "foreign flood", "received by one"),
+    ),
+    Mutant(
+        "completes its motion when it is deactivated",
+        "tapping_cell.logic.arm",
+        "            self._abandon()\n            self._halting = True",
+        "            self._halting = True",
+        kinds=("deactivate",),
+    ),
+    Mutant(
+        "withdraws to any pose",
+        "tapping_cell.logic.withdrawal",
+        "        free = tried[_is_free(cell, geometry, scene, tried)]\n",
+        "        free = tried\n",
+        kinds=("cancel",),
+    ),
+    Mutant(
+        "takes the outcome of another tap",
+        "tapping_cell.logic.cell_monitor",
+        "return tapper if tapper is not None and tapper.tap_id == tap_id else None",
+        "return tapper",
+        kinds=("slow topic", "foreign command", "foreign outcome"),
+    ),
+    Mutant(
+        "accepts clocks that are ahead",
+        "tapping_cell.logic.peer_clock",
+        "if abs(skew) > SKEW_LIMIT_S:",
+        "if skew > SKEW_LIMIT_S:",
+        kinds=("clock step",),
+    ),
+    Mutant(
+        "never forgets the smallest delay",
+        "tapping_cell.logic.peer_clock",
+        "        while self._delays[0][0] < now.steady - WINDOW_S:\n"
+        "            self._delays.popleft()\n",
+        "",
+        kinds=("clock step",),
+    ),
+    Mutant(
+        "does not count the taps before a crash",
+        "tapping_cell.logic.task",
+        "return self.earlier_taps + len(self.records)",
+        "return len(self.records)",
+        kinds=("kill",),
     ),
 )
 

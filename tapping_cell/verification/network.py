@@ -70,6 +70,8 @@ class Network:
         self._qualities = qualities
         self._links: dict[str, list[_Link]] = {}
         self._last: dict[str, dict[str, Any]] = {}
+        self._volatile: dict[str, set[str]] = {}
+        """Volatile publishers of each latched topic."""
         self._servers: dict[str, dict[str, Handle]] = {}
 
     def subscribe(self, node: str, topic: str, deliver: Deliver) -> None:
@@ -80,13 +82,17 @@ class Network:
             for message in self._last.get(topic, {}).values():
                 self._send(link, topic, message)
 
-    def publish(self, node: str, topic: str, message: Any, only: str = "") -> None:
+    def publish(
+        self, node: str, topic: str, message: Any, only: str = "", volatile: bool = False
+    ) -> None:
         """Send a message to all subscribers of the topic. ``only``: the one node that receives the
-        message; the message is lost for all other nodes, as can happen with best-effort
-        delivery."""
+        message; the message is lost for all other nodes, as can happen with best-effort delivery.
+        ``volatile``: whether the publisher is volatile although the topic is latched."""
         self.on_publish(node, topic, message)
         self.history.setdefault(topic, deque(maxlen=20)).append(message)
-        if self._quality(topic).latched:
+        if volatile:
+            self._volatile.setdefault(topic, set()).add(node)
+        elif self._quality(topic).latched:
             self._last.setdefault(topic, {})[node] = message
         for link in self._links.get(topic, ()):
             if only in ("", link.subscriber):
@@ -103,6 +109,10 @@ class Network:
     def latched(self, topic: str) -> dict[str, Any]:
         """Return the last latched message of each publisher that is still present, by name."""
         return dict(self._last.get(topic, {}))
+
+    def volatile(self, topic: str) -> frozenset[str]:
+        """Return the volatile publishers of a latched topic that are still present."""
+        return frozenset(self._volatile.get(topic, ()))
 
     def serve(self, node: str, service: str, handle: Handle) -> None:
         """Offer a service: ``handle(request, answer)``. If several nodes offer the same service,
@@ -147,6 +157,8 @@ class Network:
             self._links[topic] = [link for link in links if link.subscriber != node]
         for kept in self._last.values():
             kept.pop(node, None)
+        for publishers in self._volatile.values():
+            publishers.discard(node)
         for servers in self._servers.values():
             servers.pop(node, None)
 

@@ -68,12 +68,18 @@ from tapping_cell.verification.faults import (
     draw_faults,
     moment_name,
 )
+from tapping_cell.verification.further_panels import FurtherPanels, PanelPress
 from tapping_cell.verification.host import HostClock, Process, Program, copy_of
 from tapping_cell.verification.invariants import InvariantChecker, Violation
 from tapping_cell.verification.network import Network, Quality
 from tapping_cell.verification.physical_cell import PhysicalCell
 from tapping_cell.verification.scheduler import HangError, Scheduler
 from tapping_cell.verification.serial_line import BusyLine, SerialLine
+from tapping_cell.verification.stop_confirmation import (
+    INSTRUCTION,
+    ClearRequest,
+    StopConfirmation,
+)
 
 STATE = Quality(latched=True, depth=1)
 """Quality of service of a state topic: only its last message is kept."""
@@ -156,6 +162,15 @@ PROGRAM_TIMEOUT_S, PROGRAM_EXPIRY_S = 12.0, 10.0
 SHARE_OF_STOPS_AT_A_CLEAR, STOP_AT_A_CLEAR_S = 0.1, 0.5
 """Fraction of the requests to clear a node after which somebody stops the node again, and the
 maximum time from the request to this stop, s."""
+SHARE_OF_STOPS_AT_A_REFUSAL, STOP_AT_A_REFUSAL_S = 0.2, (0.01, 0.9)
+"""Fraction of the refusals that ask for a confirmation after which a further panel is pressed and
+vanishes, and the range of the time from the refusal to this stop, s."""
+SHARE_OF_REPEATED_REQUESTS, REPEATED_AFTER_S = 0.1, (0.02, 0.25)
+"""Fraction of the requests to clear a node that are repeated before they are answered, as by a
+double click, and the range of the time between the two requests, s."""
+SHARE_OF_ABSENCES, ABSENCE_S = 0.15, (25.0, 36.0)
+"""Fraction of the refusals that ask for a confirmation after which the person does something else
+first, and the range of the duration, s. A confirmation counts for 30 s."""
 SHARE_OF_SHORT_EXPIRIES, SHORT_EXPIRY_S = 0.1, (0.2, 4.0)
 """Fraction of the taps of other programs that expire soon, and the range of their expiry, s."""
 SHARE_OF_FUTURE_STAMPS, FUTURE_STAMP_S = 0.05, (1.5, 3600.0)
@@ -288,6 +303,19 @@ class Trial:
             PlanState.FIRING: self.settings.fire_deadline,
             PlanState.SETTLING: self.settings.withdraw_deadline,
         }
+        self._people_rng = np.random.default_rng([seed, 11])
+        self.confirmation = StopConfirmation(self.checker.violate)
+        self.panels = FurtherPanels(
+            self.scheduler,
+            self.network,
+            self.confirmation,
+            self._hold_emergency_stop,
+            self._end_hold,
+        )
+        self._requests: dict[Any, ClearRequest] = {}
+        """Requests to clear that a process has received but not answered, by token."""
+        self._away_until = -math.inf
+        """Time until which the person who recovers the cell does something else."""
         self.network.on_publish = self._on_publish
         self.network.on_call = self._on_call
         self.network.on_answer = self._on_answer
@@ -311,6 +339,7 @@ class Trial:
         for process in self.processes.values():
             process.on_handled = self._on_handled
             process.on_asked = self._on_asked
+            process.on_requested = self._on_requested
             process.on_log = self._on_log
         self._seconds: list[Process] = []
         self.camera = self._make_camera()
@@ -329,6 +358,9 @@ class Trial:
         a request may be handled late and is valid if the emergency stop has been released by
         then."""
         self._waiting_faults: list[Fault] = []
+        self._taps_of_arm: set[int] = set()
+        """Taps that the arm's process has received since it was last stopped or started. Only a
+        withdrawal of one of these taps may make the arm move."""
         self._taken: dict[int, Time] = {}
         """Stamp of the last TAP command with each tap id that the tapper's process has handled."""
         self._struck: list[tuple[float, str]] = []
@@ -761,6 +793,21 @@ class Trial:
 
         self.scheduler.after(CANCEL_S, check)
 
+    def cancel_by_service(self) -> None:
+        """Call the planner's service that ends the present goal, whoever sent it."""
+        process = self.processes["tap_planner"]
+        if not process.alive:
+            return
+        self._token += 1
+        self.note_kind("cancel")
+        process.request(
+            "~/cancel", Trigger.Request(), ("person", self._token), self._on_cancel_answered
+        )
+
+    def _on_cancel_answered(self, response: Trigger.Response) -> None:
+        self.note_kind("cancel")  # a frozen planner handles the request late
+        self.checker.on_goal_cancelled()
+
     def freeze(self, node: str, duration: float) -> None:
         """Freeze a process."""
         if node == "camera_pose":
@@ -802,8 +849,11 @@ class Trial:
     def _lost_process(self, node: str, crash: bool) -> None:
         self.note_kind(f"end of {node}")
         self._asked_to_clear.pop(node, None)  # the request ends with the process
+        self.confirmation.on_process_lost(node)
         if node == "scara_arm":
             self.checker.forbid_motion()
+            self.checker.over_for_arm = 0
+            self._taps_of_arm.clear()
         if node == "tapper_trigger":
             self.checker.future_received.clear()
         if node == "tap_planner":
@@ -877,21 +927,39 @@ class Trial:
 
     def press_emergency_stop(self, duration: float) -> None:
         """Hold the emergency stop of the panel for ``duration`` s."""
-        self._pressed_at = self.scheduler.now
         self._pressed_until = max(self._pressed_until, self.scheduler.now + duration)
         self.network.publish("panel", "emergency_stop", Bool(data=True))
-        self.checker.held_since = min(self.checker.held_since, self.scheduler.now)
+        self._hold_emergency_stop()
         self.scheduler.after(0.6 * duration, self._recover_too_early)
         self.scheduler.at(self._pressed_until, self._release_emergency_stop)
 
     def _release_emergency_stop(self) -> None:
         if self.scheduler.now >= self._pressed_until:
-            self.checker.held_since = math.inf
+            self._end_hold()
             self.network.publish("panel", "emergency_stop", Bool(data=False))
+
+    def _hold_emergency_stop(self) -> None:
+        """Record that an emergency stop is pressed now."""
+        self.note_kind("emergency stop")
+        self._pressed_at = self.scheduler.now
+        self.checker.held_since = min(self.checker.held_since, self.scheduler.now)
+
+    def _end_hold(self) -> None:
+        """Record that an emergency stop is no longer asserted."""
+        if self.scheduler.now >= self._pressed_until and not self.panels.held:
+            self.checker.held_since = math.inf
+
+    def press_further_panel(self, press: PanelPress) -> None:
+        """Press the emergency stop of a further panel, which may vanish while it is pressed."""
+        self.note_disturbance(press.held + (press.back_after + press.held if press.again else 0.0))
+        self.panels.press(press)
 
     def _recover_too_early(self) -> None:
         """Call clear_fault and home while the emergency stop is held, to check that these calls
-        have no effect."""
+        have no effect. Do not call them while a further panel is pressed: if this panel cannot be
+        queried, the second call would confirm that the cell is safe."""
+        if self.panels.held:
+            return
         for node in self.devices:
             self.call_service(node, "~/clear_fault")
         self.scheduler.after(1.0, self._home_too_early)
@@ -977,11 +1045,46 @@ class Trial:
             self._asked_to_clear[node] = self.scheduler.now
         if process.alive and process.logic is not None:
             self._token += 1
-            process.request(service, Trigger.Request(), ("person", self._token), lambda _: None)
+            token = ("person", self._token)
+            process.request(service, Trigger.Request(), token, partial(self._on_response, token))
+
+    def _on_requested(self, process: str, service: str, token: Any) -> None:
+        if service == "~/stop":
+            self.confirmation.on_stop(process)
+            if process == "scara_arm":
+                self._taps_of_arm.clear()
+        if service == "~/clear_fault":
+            volatile = self.network.volatile("emergency_stop")
+            self._requests[token] = ClearRequest(process, self.scheduler.now, volatile)
+
+    def _on_response(self, token: Any, response: Trigger.Response) -> None:
+        """Process the answer to a request of a person."""
+        request = self._requests.pop(token, None)
+        if request is None:
+            return
+        volatile, now = self.network.volatile("emergency_stop"), self.scheduler.now
+        said = response.success, response.message
+        if self.confirmation.on_answer(request, *said, volatile, now):
+            self.checker.stopped_at.pop(request.node, None)
+        elif INSTRUCTION in response.message and self._faulty:
+            self._interrupt_confirmation()
+
+    def _interrupt_confirmation(self) -> None:
+        """At a refusal that asks a person to confirm, sometimes press a further panel, or let the
+        person do something else first."""
+        rng, now = self._people_rng, self.scheduler.now
+        if rng.random() < SHARE_OF_STOPS_AT_A_REFUSAL:
+            later, held = float(rng.uniform(*STOP_AT_A_REFUSAL_S)), draw_duration(rng, 0.02, 0.5)
+            press = partial(self.press_further_panel, PanelPress(held))
+            self.scheduler.after(later, press, in_main=True)
+        if rng.random() < SHARE_OF_ABSENCES and math.isinf(self._away_until):
+            self._away_until = now + float(rng.uniform(*ABSENCE_S))
 
     def recover(self) -> None:
         """Recover the cell as a person would, until it is ready for a goal: inspect it, press the
-        clear button, clear faults and home."""
+        clear button, clear faults and home. A request that is refused is repeated, as the refusal
+        instructs."""
+        self._away_until = -math.inf
         until = self.scheduler.now + RECOVERY_S
         arm_states, tapper_states = ArmState, TapperState
         while self.scheduler.now < until:
@@ -989,7 +1092,7 @@ class Trial:
             arm, tapper = self._last("arm_state"), self._last("tapper_state")
             if not all(process.alive for process in self.processes.values()) or arm is None:
                 continue
-            if tapper is None or self.scheduler.now < self._pressed_until:
+            if tapper is None or self._waits():
                 continue
             if arm.state == arm_states.IDLE and tapper.state == tapper_states.SAFE:
                 self.checker.check_outcome()
@@ -1009,17 +1112,29 @@ class Trial:
         arm, tapper = self._last("arm_state"), self._last("tapper_state")
         self.checker.violate("no way back", f"arm {arm}, tapper {tapper}")
 
+    def _waits(self) -> bool:
+        """Return whether the person who recovers the cell waits: until every emergency stop is
+        released, or because the person does something else."""
+        return math.isfinite(self.checker.held_since) or self.scheduler.now < self._away_until
+
     def _ask_to_clear(self, node: str) -> None:
         """Ask a node to clear its stop or fault. Sometimes somebody stops the node again before it
         has cleared."""
         self._clear_stop(node)
         self.call_service(node, "~/clear_fault")
+        if self._faulty and self._people_rng.random() < SHARE_OF_REPEATED_REQUESTS:
+            later = float(self._people_rng.uniform(*REPEATED_AFTER_S))
+            self.scheduler.after(later, partial(self.call_service, node, "~/clear_fault"))
         if self._faulty and self.rng.random() < SHARE_OF_STOPS_AT_A_CLEAR:
             within = float(self.rng.uniform(0.0, STOP_AT_A_CLEAR_S))
             self.scheduler.after(within, partial(self.call_stop, node), in_main=True)
 
     def _clear_stop(self, node: str) -> None:
-        self.checker.stopped_at.pop(node, None)
+        """Record a person's request to clear the stop of a node. A stop that must be confirmed
+        lasts until the node has cleared it."""
+        unknown = self.network.volatile("emergency_stop")
+        if not (unknown or self.confirmation.needs_confirmation(node)):
+            self.checker.stopped_at.pop(node, None)
 
     def _object_lost(self) -> bool:
         pose = self.physical.object_pose(self.scheduler.now)
@@ -1041,6 +1156,8 @@ class Trial:
                 self._last_reports[node, topic] = text
                 self._note(text)
         self.checker.on_publish(node, topic, message)
+        if topic == "~/stop_state":
+            self.confirmation.on_stop_state(node, message.stopped)
         if topic == "~/stop_state" and not message.stopped and node in self._asked_to_clear:
             del self._asked_to_clear[node]
             if math.isinf(self.checker.held_since):
@@ -1117,10 +1234,15 @@ class Trial:
             self.checker.on_state_received_by_planner(message)
         if process == "tap_planner" and topic == "object_state" and message.visible:
             self.checker.seen_moving = not message.at_rest
-        if process == "scara_arm" and topic == "tapper_state" and message.state in CHARGED:
-            self.checker.charge_received = now
+        if process == "scara_arm" and topic == "tapper_state":
+            if message.state in CHARGED:
+                self.checker.charge_received = now
+            if message.outcome in (TapperState.FIRED, TapperState.NOT_FIRED):
+                self.checker.on_outcome_received_by_arm(message.tap_id)
         if process == "tap_planner" and topic == "emergency_stop" and message.data:
             self.checker.on_stop_received_by_planner()
+        if topic == "emergency_stop":
+            self.confirmation.on_level(process, message.data, self.panels.publisher_of(message))
         if topic == "emergency_stop" and message.data:
             self.checker.stopped_at.setdefault(process, now)
             # A frozen process receives the stop late, and handles a later request after it.
@@ -1130,6 +1252,7 @@ class Trial:
                 self._expect_stop_on_wire()
             if process == "scara_arm":
                 self.checker.forbid_motion()
+                self._taps_of_arm.clear()
         if (
             topic == "tap_command"
             and process == "tapper_trigger"
@@ -1146,10 +1269,13 @@ class Trial:
             self.checker.ended_taps.setdefault(message.tap_id, now)
 
     def _may_move_arm(self, topic: str, message: Any) -> bool:
-        """Return whether a message is allowed to make the arm move. A withdrawal without a tap id
-        must not move the arm."""
+        """Return whether a message is allowed to make the arm move. A withdrawal must not move the
+        arm unless the arm has received its tap since the last stop."""
         if topic == "tap_command":
-            return bool(message.request == TapCommand.TAP or message.tap_id)
+            if message.request == TapCommand.TAP:
+                self._taps_of_arm.add(message.tap_id)
+            of_a_tap = message.request != TapCommand.WITHDRAW and message.tap_id != 0
+            return of_a_tap or message.tap_id in self._taps_of_arm
         return topic == "joint_trajectory"
 
     def _expect_stop_on_wire(self) -> None:
