@@ -55,6 +55,11 @@ LASTING_S = {
     "emergency stop": 5.0,
     "guard": 4.0,
     BRIEFLY_OPEN: 0.3,
+    "enabling device released": 5.0,
+    "enabling messages delayed": 8.0,
+    "late answer": 20.0,
+    "no answer": 15.0,
+    "ask changed": 8.0,
 }
 """Maximum time for which a fault of each kind has an effect, s; 0 for kinds that are not listed.
 Depending on the kind, this time includes the restart of a process, the time until a foreign command
@@ -99,7 +104,15 @@ DELAYS = FREEZES | ENDS | LINKS | LINES | {"deactivate", "second node"}
 """Kinds of faults that delay or suppress messages."""
 COVERED = "the arm covers the object"
 """Condition that is not an injected fault but can also explain an error code of a goal."""
+KEY_ONLY = "the person of set-up mode holds only the key"
+"""Condition in which the tapper's board refuses more than its set-up energy."""
 SHORT_TIME_LIMIT = "the goal has a short time limit"
+SWITCH_UNKNOWN = (
+    ENDS | LINKS | TAPPER_LINE | TAPPER_POWER | FOREIGN | TAPPER_ENDS | {"deactivate"}
+)
+"""Kinds of faults after which arm or tapper may not know that the enabling switch is held: the
+board reports it to the tapper's node, and this node to the arm. The key does not depend on them."""
+UNANSWERED = frozenset({"no answer", "late answer"})
 CAMERA = frozenset({"camera", "object moved", "object turned", "object creeps"})
 
 EXPLAINED_BY: dict[int, frozenset[str]] = {
@@ -150,7 +163,12 @@ EXPLAINED_BY: dict[int, frozenset[str]] = {
     | FOREIGN
     | POWER
     | CAMERA
-    | {"clock step", "guard", SHORT_TIME_LIMIT},
+    | UNANSWERED
+    | {"clock step", "guard", "reject", SHORT_TIME_LIMIT},
+    ErrorCode.ENABLING_RELEASED: FREEZES
+    | SWITCH_UNKNOWN
+    | {"enabling device released", "enabling messages delayed", KEY_ONLY},
+    ErrorCode.TAP_NOT_CONFIRMED: UNANSWERED,
     ErrorCode.TAP_WITHOUT_EFFECT: CAMERA | POWER,
     ErrorCode.TAP_LIMIT_REACHED: CAMERA | FOREIGN,
     ErrorCode.TAP_WITHOUT_ROTATION: CAMERA | FOREIGN,

@@ -28,6 +28,7 @@ from tapping_cell.simulation.fault_layer import Direction, FaultKind, LineFault,
 from tapping_cell.verification.causes import BRIEFLY_OPEN, LASTING_S
 from tapping_cell.verification.fault_target import FaultTarget, Made, Maker
 from tapping_cell.verification.host import PlannedFreeze
+from tapping_cell.verification.people import KEY, SWITCH
 
 SPAN_S = 16.0
 """The faults of a goal are injected within this time after the goal is sent, s."""
@@ -49,11 +50,14 @@ CLOSEST_S = 2e-4
 class Mix:
     """Distribution of the faults. ``only``: kinds of faults, empty for all; a kind that is listed
     several times is drawn more often. ``mean``: mean number of faults per goal. ``fixed``: whether
-    the cell has fixed tappers."""
+    the cell has fixed tappers. ``set_up``, ``ask``: whether every run is in set-up mode, or asks a
+    person before every tap; otherwise the seed decides."""
 
     only: tuple[str, ...] = ()
     mean: float = 2.0
     fixed: bool = False
+    set_up: bool = False
+    ask: bool = False
 
 
 ALL = Mix()
@@ -734,6 +738,50 @@ def _interlock(rng: np.random.Generator, trial: FaultTarget) -> Made:
     return strike, f"guard open for {lasting:.2f} s"
 
 
+def _enabling_released(rng: np.random.Generator, trial: FaultTarget) -> Made:
+    """A person releases the enabling devices of set-up mode, or one of them, and holds them again
+    before anybody has cleared the arm's stop."""
+    devices = ((KEY, SWITCH), (KEY, SWITCH), (KEY,), (SWITCH,))[int(rng.integers(4))]
+    silent, away = bool(rng.random() < 0.5), draw_duration(rng, 0.05, 5.0)
+    return lambda t: t.release_enabling(devices, silent, away), (
+        f"{' and '.join(devices)} released for {away:.2f} s"
+        + (", without a last message" if silent else "")
+    )
+
+
+def _enabling_late(rng: np.random.Generator, trial: FaultTarget) -> Made:
+    towards = _pick(rng, ("scara_arm", "tapper_trigger"))
+    delay, lasting = draw_duration(rng, 0.05, 2.0), draw_duration(rng, 0.2, 6.0)
+
+    def strike(t: FaultTarget) -> None:
+        t.network.faults.slow["enabling", towards] = delay
+        t.scheduler.after(lasting, lambda: t.network.end_delay("enabling", towards))
+
+    return strike, f"the key's messages to {towards} delayed by {delay:.2f} s for {lasting:.1f} s"
+
+
+def _ask_changed(rng: np.random.Generator, trial: FaultTarget) -> Made:
+    """A person no longer wants to confirm every tap, and soon wants it again."""
+    after = draw_duration(rng, 0.05, 8.0)
+
+    def strike(t: FaultTarget) -> None:
+        t.change_ask(False)
+        t.scheduler.after(after, lambda: t.change_ask(True))
+
+    return strike, f"the planner asks before no tap for {after:.2f} s"
+
+
+def _camera_away(rng: np.random.Generator, trial: FaultTarget) -> Made:
+    """The camera's node ends for about the time for which a confirmation remains valid."""
+    away = float(rng.uniform(5.0, 26.0))
+
+    def strike(t: FaultTarget) -> None:
+        t.note_kind("kill")
+        t.kill("camera_pose", away)
+
+    return strike, f"camera_pose killed, restarted after {away:.1f} s"
+
+
 def _cancel(rng: np.random.Generator, trial: FaultTarget) -> Made:
     return lambda t: t.cancel_goal(), "the goal is cancelled"
 
@@ -795,6 +843,15 @@ MAKERS: dict[str, Maker] = {
     "disk full": _disk_full,
 }
 KINDS = tuple(MAKERS)
+SET_UP_MAKERS: dict[str, Maker] = {
+    "enabling device released": _enabling_released,
+    "enabling messages delayed": _enabling_late,
+}
+"""Additional kinds of faults of a cell in set-up mode."""
+ASK_MAKERS: dict[str, Maker] = {"ask changed": _ask_changed, "camera away": _camera_away}
+"""Additional kinds of faults of a cell that asks a person before every tap."""
+MODE_SHARE = 8
+"""How often each additional kind is listed among the kinds of faults around a shot."""
 ONE_SIDED = (
     *("foreign withdrawal", "foreign outcome") * 3,
     *("foreign command", "cancel", "emergency stop", "replay"),

@@ -36,6 +36,10 @@ class Mutant:
     kinds."""
     fixed: bool = False
     """Whether the hunt runs the cell with fixed tappers."""
+    set_up: bool = False
+    """Whether the hunt runs the cell in set-up mode."""
+    ask: bool = False
+    """Whether the hunt runs a cell that asks a person before every tap."""
 
 
 MUTANTS: tuple[Mutant, ...] = (
