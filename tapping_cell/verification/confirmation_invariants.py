@@ -117,9 +117,7 @@ class ConfirmationChecker:
         if tap_id in self._rejected:
             self.violate("rejected tap", f"tap {tap_id} was commanded after a person rejected it")
             return
-        if tap_id in self._sent or not (
-            self._asks or self._goal_asks or tap_id in self._proposals
-        ):
+        if tap_id in self._sent or not (self._asks or self._goal_asks or tap_id in self._proposals):
             return
         for confirmed in reversed(self._confirmed):
             if self._covers(confirmed, command):

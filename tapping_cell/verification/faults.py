@@ -25,7 +25,7 @@ from tapping_cell.messages import (
 from tapping_cell.messages import Pose as Pose3
 from tapping_cell.se2 import Pose
 from tapping_cell.simulation.fault_layer import Direction, FaultKind, LineFault, random_fault
-from tapping_cell.verification.causes import BRIEFLY_OPEN, LASTING_S
+from tapping_cell.verification.causes import BRIEFLY_OPEN, BRIEFLY_RELEASED, LASTING_S
 from tapping_cell.verification.fault_target import FaultTarget, Made, Maker
 from tapping_cell.verification.host import PlannedFreeze
 from tapping_cell.verification.people import KEY, SWITCH
@@ -572,6 +572,26 @@ def _trajectory(rng: np.random.Generator, trial: FaultTarget) -> Made:
     return strike, "a joint_trajectory from another node"
 
 
+def _fast_trajectory(rng: np.random.Generator, trial: FaultTarget) -> Made:
+    """The arm is requested to move as fast as it can, sometimes without an enabling device."""
+    without = bool(rng.random() < 0.5)
+    joints = [float(v) for v in rng.uniform((-0.5, 0.5, -0.05, -1.0), (1.0, 1.8, 0.0, 1.0))]
+
+    def strike(t: FaultTarget) -> None:
+        t.note_kind("foreign trajectory")
+        point = JointTrajectoryPoint(positions=joints)
+        message = JointTrajectory(joint_names=list(t.joint_names), points=[point])
+        if without:
+            t.note_kind("enabling device released")
+            t.release_enabling((KEY, SWITCH), False, 2.0)
+        send = partial(t.network.publish, "somebody_else", "joint_trajectory", message)
+        t.scheduler.after(0.5 if without else 0.0, send)
+
+    return strike, "a joint_trajectory without times from another node" + (
+        ", after the enabling device was released" if without else ""
+    )
+
+
 def _unreported_trajectory(rng: np.random.Generator, trial: FaultTarget) -> Made:
     """The arm follows another program's trajectory. The planner receives the arm's state too late
     and therefore commands a tap that the arm refuses."""
@@ -743,7 +763,13 @@ def _enabling_released(rng: np.random.Generator, trial: FaultTarget) -> Made:
     before anybody has cleared the arm's stop."""
     devices = ((KEY, SWITCH), (KEY, SWITCH), (KEY,), (SWITCH,))[int(rng.integers(4))]
     silent, away = bool(rng.random() < 0.5), draw_duration(rng, 0.05, 5.0)
-    return lambda t: t.release_enabling(devices, silent, away), (
+
+    def strike(t: FaultTarget) -> None:
+        t.release_enabling(devices, silent, away)
+        if SWITCH in devices and away <= LASTING_S[BRIEFLY_RELEASED]:
+            t.note_kind(BRIEFLY_RELEASED)
+
+    return strike, (
         f"{' and '.join(devices)} released for {away:.2f} s"
         + (", without a last message" if silent else "")
     )
@@ -846,6 +872,7 @@ KINDS = tuple(MAKERS)
 SET_UP_MAKERS: dict[str, Maker] = {
     "enabling device released": _enabling_released,
     "enabling messages delayed": _enabling_late,
+    "fast trajectory": _fast_trajectory,
 }
 """Additional kinds of faults of a cell in set-up mode."""
 ASK_MAKERS: dict[str, Maker] = {"ask changed": _ask_changed, "camera away": _camera_away}

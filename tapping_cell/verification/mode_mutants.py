@@ -35,7 +35,7 @@ MODE_MUTANTS: tuple[Mutant, ...] = (
         ARM,
         "        if not self._enabled(now):\n            code, reason = enabling.RELEASED\n",
         "        if False:\n            code, reason = enabling.RELEASED\n",
-        kinds=(*RELEASED, "foreign trajectory"),
+        kinds=(*RELEASED, "fast trajectory"),
         set_up=True,
     ),
     Mutant(
@@ -59,7 +59,7 @@ MODE_MUTANTS: tuple[Mutant, ...] = (
         ARM,
         "scale = SET_UP_SPEED if self._options.set_up else 1.0",
         "scale = 1.0",
-        kinds=("foreign trajectory",),
+        kinds=("fast trajectory",),
         set_up=True,
     ),
     Mutant(
@@ -112,8 +112,7 @@ MODE_MUTANTS: tuple[Mutant, ...] = (
     Mutant(
         "stays charged after the switch was released",
         BOARD,
-        'if self._state in ("CHARGING", "CHARGED") and self._too_much_for_setup('
-        "self._energy_uj):",
+        'if self._state in ("CHARGING", "CHARGED") and self._too_much_for_setup(self._energy_uj):',
         "if False:",
         kinds=RELEASED,
         set_up=True,
