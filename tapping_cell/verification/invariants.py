@@ -752,6 +752,8 @@ class InvariantChecker:
         """Process the answer that a state machine gives to its running job."""
         if process == "tapper_trigger" and job == "fire":
             self.last_check = self.scheduler.now, answer
+        if process == "tapper_trigger" and self.set_up is not None:
+            self.set_up.on_asked(job, answer)
 
     def on_goal_sent(self, goal: Pose, by_topic: bool) -> int:
         """Process a goal that a client sends to the planner by a topic or by an action. Return the

@@ -17,7 +17,7 @@ from tapping_cell.verification.scheduler import Scheduler
 KEY_PERIOD_S = 0.1
 """Time between two messages of the page while its enabling key is held, s."""
 KEY, SWITCH = "key", "switch"
-GRIPS = ((SWITCH,), (SWITCH,), (KEY, SWITCH), (KEY, SWITCH), (KEY,))
+GRIPS = ((SWITCH,), (KEY, SWITCH), (KEY, SWITCH), (KEY,))
 """Devices that the person holds; some combinations are listed twice, to be drawn more often. With
 the key alone, the board refuses more than its set-up energy, so not every goal can be reached."""
 ANSWER_S = (0.2, 2.5)
@@ -59,26 +59,32 @@ class EnablingPerson:
         self._grip = 0
         """Number of the grip of the key; its messages end with the grip."""
 
-    def hold(self) -> None:
-        """Hold the key, the switch or both, unless the person already holds one of them."""
-        if self.held:
-            return
-        for device in GRIPS[int(self._rng.integers(len(GRIPS)))]:
+    def change_grip(self) -> None:
+        """Choose anew which devices the person holds; at least one is held all the time."""
+        chosen = GRIPS[int(self._rng.integers(len(GRIPS)))]
+        for device in chosen:
             self._take(device)
+        for device in (KEY, SWITCH):
+            if device not in chosen and device in self.held:
+                self._let_go(device, silent=False)
 
     def release(self, devices: tuple[str, ...], silent: bool, away: float) -> None:
         """Release devices, and hold them again after ``away`` s. ``silent``: the key's messages
         just end, as with a closed browser."""
-        for device in [device for device in devices if device in self.held]:
-            self.held.discard(device)
-            self._scheduler.after(away, partial(self._take, device))
-            if device == SWITCH:
-                self._set_switch(False)
-                continue
-            self._grip += 1
-            self.key_held_since = math.inf
-            if not silent:
-                self._network.publish("page", "enabling", Bool(data=False))
+        for device in devices:
+            if device in self.held:
+                self._let_go(device, silent)
+                self._scheduler.after(away, partial(self._take, device))
+
+    def _let_go(self, device: str, silent: bool) -> None:
+        self.held.discard(device)
+        if device == SWITCH:
+            self._set_switch(False)
+            return
+        self._grip += 1
+        self.key_held_since = math.inf
+        if not silent:
+            self._network.publish("page", "enabling", Bool(data=False))
 
     def _take(self, device: str) -> None:
         if device in self.held:

@@ -93,6 +93,17 @@ class SetUpChecker:
                 " device was released",
             )
 
+    def on_asked(self, job: str, answer: object | None) -> None:
+        """Check that the tapper's state machine lets a job charge or fire only while a device is
+        held. ``answer``: why the job must end, or None."""
+        since = self.scheduler.now - self.enabled_until("tapper_trigger")
+        if job in ("charge", "fire") and answer is None and since > ROUNDING:
+            self.violate(
+                "work without enabling",
+                f"the tapper's check allowed to {job} {since:.2f} s after the enabling device was"
+                " released",
+            )
+
     def enabled_until(self, process: str) -> float:
         """Return the time at which a process counts every device as released; a time in the future
         if no further message arrives until then."""

@@ -35,6 +35,8 @@ from tapping_cell.messages import (
     ArmState,
     Bool,
     ErrorCode,
+    JointTrajectory,
+    JointTrajectoryPoint,
     ObjectState,
     PlanState,
     PoseStamped,
@@ -734,13 +736,19 @@ class Trial:
 
     def _release_before_a_tap(self) -> None:
         """In set-up mode, let the person sometimes release the enabling device before another
-        program commands a tap."""
+        program commands a tap and perhaps a trajectory."""
         share = SHARE_OF_UNENABLED_TAPS if self._enabler is not None and self._faulty else 0.0
         if share and self._people_rng.random() < share:
             self._note("PERSON releases the enabling device")
             self.note_kind("enabling device released")
             self.release_enabling((KEY, SWITCH), False, 3.0)
             self.scheduler.run(self.scheduler.now + 0.7)
+            if self._people_rng.random() < 0.5:
+                point = JointTrajectoryPoint(positions=[0.5, 1.2, -0.02, 0.0])
+                message = JointTrajectory(joint_names=list(self.joint_names), points=[point])
+                self.network.publish("program", "joint_trajectory", message)
+                self.note_kind("foreign trajectory")
+                self.scheduler.run(self.scheduler.now + 0.1)
 
     def _publish_conflicting(self, command: TapCommand, conflicting: TapCommand) -> None:
         """Publish two different commands with the same id: one is delivered only to the arm, the
@@ -788,9 +796,10 @@ class Trial:
 
     def _is_explained(self, code: int, struck: set[str]) -> bool:
         """Return whether one of these kinds of faults explains the code."""
-        if code == ErrorCode.ENABLING_RELEASED and self._enabler is not None:
-            if self._enabler.key_held_since < self._goal_began:
-                struck = struck - SWITCH_UNKNOWN
+        enabler = self._enabler
+        key_held = enabler is not None and enabler.key_held_since < self._goal_began
+        if code == ErrorCode.ENABLING_RELEASED and key_held:
+            struck = struck - SWITCH_UNKNOWN
         return explains(code, struck) or not struck.isdisjoint(self.further_causes.get(code, ()))
 
     def note_kind(self, kind: str) -> None:
@@ -1098,7 +1107,7 @@ class Trial:
         clear button, clear faults and home."""
         until = self.scheduler.now + RECOVERY_S
         if self._enabler is not None:
-            self._enabler.hold()
+            self._enabler.change_grip()
         arm_states, tapper_states = ArmState, TapperState
         while self.scheduler.now < until:
             self.scheduler.run(self.scheduler.now + 1.0)
@@ -1128,7 +1137,7 @@ class Trial:
     def _home(self) -> None:
         """Home the arm. In set-up mode, the person sometimes releases the enabling device first."""
         if self._enabler is not None:
-            self._enabler.hold()
+            self._enabler.change_grip()
             if self._faulty and self._people_rng.random() < SHARE_OF_UNENABLED_HOMING:
                 self._enabler.release((KEY, SWITCH), silent=False, away=1.0)
                 self.scheduler.run(self.scheduler.now + 0.7)

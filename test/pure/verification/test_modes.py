@@ -96,6 +96,17 @@ def test_work_that_begins_without_the_device_is_detected(trial: Trial) -> None:
     assert found(trial) == {"work without enabling"}
 
 
+def test_a_check_that_is_passed_without_the_device_is_detected(trial: Trial) -> None:
+    trial.checker.on_asked("tapper_trigger", "charge", None)
+    assert found(trial) == set()
+    trial.release_enabling(BOTH, False, 60.0)
+    trial.scheduler.run(trial.scheduler.now + 0.7)
+    trial.checker.on_asked("tapper_trigger", "charge", (910, "released"))
+    assert found(trial) == set()
+    trial.checker.on_asked("tapper_trigger", "charge", None)
+    assert found(trial) == {"work without enabling"}
+
+
 def test_a_move_that_is_too_fast_is_detected(trial: Trial) -> None:
     trial.checker.check_speed(0.25)
     assert found(trial) == set()
