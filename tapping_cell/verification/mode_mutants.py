@@ -6,7 +6,6 @@ from __future__ import annotations
 from tapping_cell.verification.mutants import Mutant
 
 ARM = "tapping_cell.logic.arm"
-TAPPER = "tapping_cell.logic.tapper"
 ENABLING = "tapping_cell.logic.enabling"
 PLANNER = "tapping_cell.logic.planner"
 CONFIRMATION = "tapping_cell.logic.confirmation"
@@ -60,21 +59,6 @@ MODE_MUTANTS: tuple[Mutant, ...] = (
         "scale = SET_UP_SPEED if self._options.set_up else 1.0",
         "scale = 1.0",
         kinds=("fast trajectory",),
-        set_up=True,
-    ),
-    Mutant(
-        "fires without the enabling device",
-        TAPPER,
-        "        if self._set_up and not self._enabling.held(now):\n"
-        "            return enabling.RELEASED\n        if now.ros > tap.expiry:",
-        "        if now.ros > tap.expiry:",
-        also=Mutant(
-            "continues a tap without the enabling device",
-            TAPPER,
-            "if self._set_up and self.state in SERVING and not self._enabling.held(now):",
-            "if False:",
-        ),
-        kinds=RELEASED,
         set_up=True,
     ),
     Mutant(
