@@ -10,6 +10,7 @@ and boards restart. The drivers' reports are compared with the true actions of t
     python -m tapping_cell faults --goals 1000 --seed 1   # the whole cell in simulated time
     python -m tapping_cell faults --goals 500 --only 'freeze, freeze at a shot'
     python -m tapping_cell faults --goals 1000 --fixed-tappers   # the positioning cell
+    python -m tapping_cell faults --goals 500 --set-up    # every cell in set-up mode
     python -m tapping_cell faults --replay 1000003        # repeat one run and print its trace
     python -m tapping_cell faults --mutants               # check that each missing guard is found
     python -m tapping_cell faults --taps 10000 --seed 1   # drivers and boards only
@@ -118,6 +119,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="simulate only cells with two or three objects, instead of in one of ten runs (only "
         "with --goals or --replay; not with --fixed-tappers)",
+    )
+    parser.add_argument(
+        "--set-up",
+        action="store_true",
+        help="run every cell in set-up mode, with a person who holds the enabling device; otherwise"
+        " the seed chooses one run in ten (only with --goals or --replay)",
+    )
+    parser.add_argument(
+        "--ask",
+        action="store_true",
+        help="let a person confirm every tap; otherwise the seed chooses one run in ten (only with "
+        "--goals or --replay)",
     )
     parser.add_argument(
         "--mutant",
@@ -284,7 +297,14 @@ def _chunks(dialects: list[Dialect], arguments: argparse.Namespace) -> list[Call
 def _mix(arguments: argparse.Namespace) -> Mix:
     """Return the requested kinds and mean number of faults."""
     kinds = tuple(kind.strip() for kind in arguments.only.split(",") if kind.strip())
-    return Mix(kinds, arguments.mean_faults, arguments.fixed_tappers, arguments.several_objects)
+    return Mix(
+        kinds,
+        arguments.mean_faults,
+        arguments.fixed_tappers,
+        arguments.several_objects,
+        arguments.set_up,
+        arguments.ask,
+    )
 
 
 def _soak(dialects: list[Dialect], arguments: argparse.Namespace) -> int:

@@ -13,9 +13,10 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from tapping_cell.cli.errors import print_error
 from tapping_cell.report import error_codes
 from tapping_cell.verification.campaign import Summary, run_campaign, run_trial
-from tapping_cell.verification.faults import ALL, KINDS, Mix
+from tapping_cell.verification.faults import ALL, ASK_MAKERS, KINDS, SET_UP_MAKERS, Mix
 from tapping_cell.verification.fixed_faults import FIXED_MAKERS
 from tapping_cell.verification.fixed_mutants import FIXED_MUTANTS
+from tapping_cell.verification.mode_mutants import MODE_MUTANTS
 from tapping_cell.verification.mutants import MUTANTS, Mutant
 from tapping_cell.verification.table_faults import TABLE_MAKERS
 from tapping_cell.verification.table_mutants import TABLE_MUTANTS
@@ -30,6 +31,10 @@ GOALS_IN_A_STEP = 100
 def run_goals(goals: int, seed: int, jobs: int, as_json: bool, mix: Mix = ALL) -> int:
     """Run a campaign. Return exit code 0 only if no invariant was violated."""
     known = tuple(FIXED_MAKERS) if mix.fixed else tuple(TABLE_MAKERS) if mix.several else KINDS
+    if mix.set_up:
+        known += tuple(SET_UP_MAKERS)
+    if mix.ask:
+        known += tuple(ASK_MAKERS)
     unknown = sorted(set(mix.only) - set(known))
     if unknown:
         print_error(f"no such faults: {', '.join(unknown)}; choose from: {', '.join(known)}")
@@ -79,7 +84,7 @@ def replay(seed: int, goals: int, mix: Mix = ALL) -> int:
 def run_mutants(goals: int, seed: int, jobs: int, names: Sequence[str], as_json: bool) -> int:
     """Test each mutant in separate processes. Return exit code 0 only if all mutants are
     detected."""
-    mutants = (*MUTANTS, *FIXED_MUTANTS, *TABLE_MUTANTS)
+    mutants = (*MUTANTS, *FIXED_MUTANTS, *TABLE_MUTANTS, *MODE_MUTANTS)
     unknown = sorted(set(names) - {mutant.name for mutant in mutants})
     if unknown:
         print_error(f"no such mutants: {'; '.join(unknown)}")

@@ -781,13 +781,19 @@ class TapperDriver(RecordingTapper):
                 " motor missed steps or has no power; check the motor and its supply; the carriage"
                 " is homed before the next shot",
             )
+        elif reply.lacks_switch:
+            reason, text = (
+                FaultReason.NOT_ENABLED,
+                "the enabling switch of set-up mode was released, so the tapper discharged more"
+                " than its set-up energy; hold the switch, or use less energy",
+            )
         else:
             reason, text = (
                 FaultReason.REJECTED,
                 f"the tapper answered {reply.result.value} in state {reply.state.value} ({shot}),"
                 " so the requested shot is not charged: it was never charged, or the tapper"
-                " discharged itself because it received no request for 0.5 s or the guard was"
-                " opened briefly; charge again",
+                " discharged itself because it received no request for 0.5 s, or the guard was"
+                " opened or the enabling switch of set-up mode released briefly; charge again",
             )
         return self._noted(reason, text)
 

@@ -118,6 +118,10 @@ class Mode(Enum):
     SETUP = "SETUP"
 
 
+SETUP_ENERGY = 0.005
+"""Maximum energy in set-up mode without the enabling switch, J."""
+
+
 @dataclass(frozen=True, slots=True)
 class Reply:
     """One reply of the tapper; ``energy`` in J, ``speed`` in m/s or None."""
@@ -145,6 +149,11 @@ class Reply:
     """Number of tappers on this board."""
     at_mounts: int = 0
     """Mask of the channels whose switch detects the striker at its mount; 0 without switches."""
+
+    @property
+    def lacks_switch(self) -> bool:
+        """Whether the board does not hold the energy of ``shot`` until the switch is held."""
+        return self.mode is Mode.SETUP and not self.enabled and self.energy > SETUP_ENERGY
 
 
 @dataclass(frozen=True, slots=True)

@@ -899,9 +899,15 @@ def _why_not_charged(reply: Reply) -> CodedError:
             "the guard was opened while the tapper was charged, so the tapper discharged itself;"
             " close the guard",
         )
+    if reply.lacks_switch:
+        return (
+            ErrorCode.ENABLING_RELEASED,
+            "the enabling switch was released while the tapper was charged, so the tapper"
+            " discharged more than its set-up energy; hold the switch",
+        )
     return (
         ErrorCode.TAPPER_FAULT,
         f"the tapper was charged, but its board is now in state {reply.state.value}: it discharged"
-        " itself because it received no request for 0.5 s, the guard was opened briefly, or its"
-        " supply failed",
+        " itself because it received no request for 0.5 s, the guard was opened or the enabling"
+        " switch of set-up mode released briefly, or its supply failed",
     )

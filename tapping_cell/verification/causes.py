@@ -15,6 +15,8 @@ from tapping_cell.messages import ErrorCode
 BRIEFLY_OPEN = "guard open briefly"
 """Kind of fault: the guard is opened so briefly that the tapper's node may not notice it. The board
 may discharge because of the open guard without reporting this reason."""
+BRIEFLY_RELEASED = "enabling switch released briefly"
+"""Kind of fault: the switch is released so briefly that the tapper's node may not notice it."""
 AT_ONCE_S = 10.0
 """Maximum time from the end of a fault to the end of a goal, if the planner does not wait before it
 ends the goal (see ``WAITS_S``). This maximum allows for a planner that is frozen for 5 s and for a
@@ -60,6 +62,12 @@ LASTING_S = {
     "emergency stop": 5.0,
     "guard": 4.0,
     BRIEFLY_OPEN: 0.3,
+    BRIEFLY_RELEASED: 0.3,
+    "enabling device released": 5.0,
+    "enabling messages delayed": 8.0,
+    "late answer": 20.0,
+    "no answer": 15.0,
+    "ask changed": 8.0,
 }
 """Maximum time for which a fault of each kind has an effect, s; 0 for kinds that are not listed.
 Depending on the kind, this time includes the restart of a process, the time until a foreign command
@@ -104,7 +112,13 @@ DELAYS = FREEZES | ENDS | LINKS | LINES | {"deactivate", "second node"}
 """Kinds of faults that delay or suppress messages."""
 COVERED = "the arm covers the object"
 """Condition that is not an injected fault but can also explain an error code of a goal."""
+KEY_ONLY = "the person of set-up mode holds only the key"
+"""Condition in which the tapper's board refuses more than its set-up energy."""
 SHORT_TIME_LIMIT = "the goal has a short time limit"
+SWITCH_UNKNOWN = ENDS | LINKS | TAPPER_LINE | TAPPER_POWER | FOREIGN | TAPPER_ENDS | {"deactivate"}
+"""Kinds of faults after which arm or tapper may not know that the enabling switch is held: the
+board reports it to the tapper's node, and this node to the arm. The key does not depend on them."""
+UNANSWERED = frozenset({"no answer", "late answer"})
 CAMERA = frozenset({"camera", "object moved", "object turned", "object creeps"})
 
 EXPLAINED_BY: dict[int, frozenset[str]] = {
@@ -133,9 +147,9 @@ EXPLAINED_BY: dict[int, frozenset[str]] = {
     ErrorCode.TAPPER_REPLY_GARBLED: TAPPER_LINE,
     ErrorCode.TAPPER_TIMEOUT: TAPPER_LINE | TAPPER_POWER | FREEZES | {"slow topic"},
     ErrorCode.TAPPER_RESET: TAPPER_LINE | TAPPER_POWER,
-    # A board discharges automatically if it receives nothing for 0.5 s or if its guard was opened
-    # briefly.
-    ErrorCode.TAPPER_FAULT: TAPPER_LINE | TAPPER_POWER | FREEZES | {BRIEFLY_OPEN},
+    # A board discharges automatically if it receives nothing for 0.5 s, or if its guard was opened
+    # or its enabling switch released briefly.
+    ErrorCode.TAPPER_FAULT: TAPPER_LINE | TAPPER_POWER | FREEZES | {BRIEFLY_OPEN, BRIEFLY_RELEASED},
     ErrorCode.TAPPER_INTERLOCK_OPEN: frozenset({"guard"}),
     ErrorCode.TAPPER_SILENT: FREEZES | ENDS | LINKS,
     ErrorCode.TAPPER_SPENT: FOREIGN | ENDS | {"clock step"},
@@ -155,7 +169,12 @@ EXPLAINED_BY: dict[int, frozenset[str]] = {
     | FOREIGN
     | POWER
     | CAMERA
-    | {"clock step", "guard", SHORT_TIME_LIMIT},
+    | UNANSWERED
+    | {"clock step", "guard", "reject", SHORT_TIME_LIMIT},
+    ErrorCode.ENABLING_RELEASED: FREEZES
+    | SWITCH_UNKNOWN
+    | {"enabling device released", "enabling messages delayed", KEY_ONLY},
+    ErrorCode.TAP_NOT_CONFIRMED: UNANSWERED,
     ErrorCode.TAP_WITHOUT_EFFECT: CAMERA | POWER,
     ErrorCode.TAP_LIMIT_REACHED: CAMERA | FOREIGN,
     ErrorCode.TAP_WITHOUT_ROTATION: CAMERA | FOREIGN,

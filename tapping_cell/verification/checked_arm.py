@@ -1,4 +1,4 @@
-"""The arm's driver, with a check after each move that the driver reports as completed."""
+"""The arm's driver, with a check of each move before it begins, and after it was completed."""
 
 from __future__ import annotations
 
@@ -11,17 +11,25 @@ from tapping_cell.hardware.scara import Joints
 
 
 class CheckedArm:
-    """Arm driver that passes the target of each completed move to ``check``."""
+    """Arm driver that passes the speed of each move to ``check_speed``, as a fraction of the
+    maximum joint speeds, and the target of each completed move to ``check``."""
 
-    def __init__(self, driver: ArmDriver, check: Callable[[Joints], None]) -> None:
+    def __init__(
+        self,
+        driver: ArmDriver,
+        check: Callable[[Joints], None],
+        check_speed: Callable[[float], None],
+    ) -> None:
         self._driver = driver
         self._check = check
+        self._check_speed = check_speed
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._driver, name)
 
     def move_to(self, joints: Joints, speed: float, **via: Any) -> ArmReading:
-        """Move as :meth:`ArmDriver.move_to` does, then check the move."""
+        """Move as :meth:`ArmDriver.move_to` does, and check the move."""
+        self._check_speed(max(speed, via.get("via_speed") or 0.0))
         reading = self._driver.move_to(joints, speed, **via)
         self._check(joints)
         return reading

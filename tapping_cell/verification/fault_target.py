@@ -103,6 +103,13 @@ class FaultTarget(Protocol):
     def turn_tapper_motor_off(self, duration: float) -> None:
         """Switch the tapper's motor off for ``duration`` s, so that its steps have no effect."""
 
+    def release_enabling(self, devices: tuple[str, ...], silent: bool, away: float) -> None:
+        """Let the person of set-up mode release these devices for ``away`` s. ``silent``: the key's
+        messages just end."""
+
+    def change_ask(self, ask: bool) -> None:
+        """Tell the planner whether to ask before every tap."""
+
     def call_stop(self, node: str) -> None:
         """Call a node's service ``stop``."""
 

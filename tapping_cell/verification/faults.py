@@ -25,10 +25,11 @@ from tapping_cell.messages import (
 from tapping_cell.messages import Pose as Pose3
 from tapping_cell.se2 import Pose
 from tapping_cell.simulation.fault_layer import Direction, FaultKind, LineFault, random_fault
-from tapping_cell.verification.causes import BRIEFLY_OPEN, LASTING_S
+from tapping_cell.verification.causes import BRIEFLY_OPEN, BRIEFLY_RELEASED, LASTING_S
 from tapping_cell.verification.fault_target import FaultTarget, Made, Maker
 from tapping_cell.verification.further_panels import PanelPress
 from tapping_cell.verification.host import PlannedFreeze
+from tapping_cell.verification.people import KEY, SWITCH
 
 SPAN_S = 16.0
 """The faults of a goal are injected within this time after the goal is sent, s."""
@@ -50,13 +51,16 @@ CLOSEST_S = 2e-4
 class Mix:
     """Distribution of the faults. ``only``: kinds of faults, empty for all; a kind that is listed
     several times is drawn more often. ``mean``: mean number of faults per goal. ``fixed``: whether
-    the cell has fixed tappers. ``several``: whether every cell has several objects; otherwise, the
-    seed selects the cells that have."""
+    the cell has fixed tappers. ``several``: whether every cell has several objects. ``set_up``,
+    ``ask``: whether every run is in set-up mode, or asks a person before every tap. Otherwise, the
+    seed selects these cells."""
 
     only: tuple[str, ...] = ()
     mean: float = 2.0
     fixed: bool = False
     several: bool = False
+    set_up: bool = False
+    ask: bool = False
 
 
 ALL = Mix()
@@ -571,6 +575,26 @@ def _trajectory(rng: np.random.Generator, trial: FaultTarget) -> Made:
     return strike, "a joint_trajectory from another node"
 
 
+def _fast_trajectory(rng: np.random.Generator, trial: FaultTarget) -> Made:
+    """The arm is requested to move as fast as it can, sometimes without an enabling device."""
+    without = bool(rng.random() < 0.5)
+    joints = [float(v) for v in rng.uniform((-0.5, 0.5, -0.05, -1.0), (1.0, 1.8, 0.0, 1.0))]
+
+    def strike(t: FaultTarget) -> None:
+        t.note_kind("foreign trajectory")
+        point = JointTrajectoryPoint(positions=joints)
+        message = JointTrajectory(joint_names=list(t.joint_names), points=[point])
+        if without:
+            t.note_kind("enabling device released")
+            t.release_enabling((KEY, SWITCH), False, 2.0)
+        send = partial(t.network.publish, "somebody_else", "joint_trajectory", message)
+        t.scheduler.after(0.5 if without else 0.0, send)
+
+    return strike, "a joint_trajectory without times from another node" + (
+        ", after the enabling device was released" if without else ""
+    )
+
+
 def _unreported_trajectory(rng: np.random.Generator, trial: FaultTarget) -> Made:
     """The arm follows another program's trajectory. The planner receives the arm's state too late
     and therefore commands a tap that the arm refuses."""
@@ -760,6 +784,56 @@ def _interlock(rng: np.random.Generator, trial: FaultTarget) -> Made:
     return strike, f"guard open for {lasting:.2f} s"
 
 
+def _enabling_released(rng: np.random.Generator, trial: FaultTarget) -> Made:
+    """A person releases the enabling devices of set-up mode, or one of them, and holds them again
+    before anybody has cleared the arm's stop."""
+    devices = ((KEY, SWITCH), (KEY, SWITCH), (KEY,), (SWITCH,))[int(rng.integers(4))]
+    silent, away = bool(rng.random() < 0.5), draw_duration(rng, 0.05, 5.0)
+
+    def strike(t: FaultTarget) -> None:
+        t.release_enabling(devices, silent, away)
+        if SWITCH in devices and away <= LASTING_S[BRIEFLY_RELEASED]:
+            t.note_kind(BRIEFLY_RELEASED)
+
+    return strike, (
+        f"{' and '.join(devices)} released for {away:.2f} s"
+        + (", without a last message" if silent else "")
+    )
+
+
+def _enabling_late(rng: np.random.Generator, trial: FaultTarget) -> Made:
+    towards = _pick(rng, ("scara_arm", "tapper_trigger"))
+    delay, lasting = draw_duration(rng, 0.05, 2.0), draw_duration(rng, 0.2, 6.0)
+
+    def strike(t: FaultTarget) -> None:
+        t.network.faults.slow["enabling", towards] = delay
+        t.scheduler.after(lasting, lambda: t.network.end_delay("enabling", towards))
+
+    return strike, f"the key's messages to {towards} delayed by {delay:.2f} s for {lasting:.1f} s"
+
+
+def _ask_changed(rng: np.random.Generator, trial: FaultTarget) -> Made:
+    """A person no longer wants to confirm every tap, and soon wants it again."""
+    after = draw_duration(rng, 0.05, 8.0)
+
+    def strike(t: FaultTarget) -> None:
+        t.change_ask(False)
+        t.scheduler.after(after, lambda: t.change_ask(True))
+
+    return strike, f"the planner asks before no tap for {after:.2f} s"
+
+
+def _camera_away(rng: np.random.Generator, trial: FaultTarget) -> Made:
+    """The camera's node ends for about the time for which a confirmation remains valid."""
+    away = float(rng.uniform(5.0, 26.0))
+
+    def strike(t: FaultTarget) -> None:
+        t.note_kind("kill")
+        t.kill("camera_pose", away)
+
+    return strike, f"camera_pose killed, restarted after {away:.1f} s"
+
+
 def _cancel(rng: np.random.Generator, trial: FaultTarget) -> Made:
     return lambda t: t.cancel_goal(), "the goal is cancelled"
 
@@ -854,6 +928,16 @@ MAKERS: dict[str, Maker] = {
     "disk full": _disk_full,
 }
 KINDS = tuple(MAKERS)
+SET_UP_MAKERS: dict[str, Maker] = {
+    "enabling device released": _enabling_released,
+    "enabling messages delayed": _enabling_late,
+    "fast trajectory": _fast_trajectory,
+}
+"""Additional kinds of faults of a cell in set-up mode."""
+ASK_MAKERS: dict[str, Maker] = {"ask changed": _ask_changed, "camera away": _camera_away}
+"""Additional kinds of faults of a cell that asks a person before every tap."""
+MODE_SHARE = 8
+"""How often each additional kind is listed among the kinds of faults around a shot."""
 ONE_SIDED = (
     *("foreign withdrawal", "foreign outcome") * 3,
     *("foreign command", "cancel", "emergency stop", "replay"),

@@ -89,6 +89,7 @@ class FixedTrial(Trial):
     physical: PhysicalFixedCell
     checker: FixedInvariantChecker
 
+    has_modes = False
     devices = ("tapper_trigger",)
     nodes = ("tap_planner", "tapper_trigger")
     arm_node = "tapper_trigger"

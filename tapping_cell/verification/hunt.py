@@ -10,6 +10,7 @@ import json
 import sys
 
 from tapping_cell.verification.fixed_mutants import FIXED_MUTANTS
+from tapping_cell.verification.mode_mutants import MODE_MUTANTS
 from tapping_cell.verification.mutants import MUTANTS, plant
 from tapping_cell.verification.table_mutants import TABLE_MUTANTS
 
@@ -19,7 +20,7 @@ def main() -> int:
     Print the number of goals and the name of the violated invariant (empty if no violation
     occurred) as JSON."""
     parser = argparse.ArgumentParser(description=__doc__)
-    known = (*MUTANTS, *FIXED_MUTANTS, *TABLE_MUTANTS)
+    known = (*MUTANTS, *FIXED_MUTANTS, *TABLE_MUTANTS, *MODE_MUTANTS)
     parser.add_argument("name", choices=[mutant.name for mutant in known])
     parser.add_argument("--goals", type=int, default=100)
     parser.add_argument("--seed", type=int, default=0)
@@ -35,7 +36,13 @@ def main() -> int:
 
     settle_on(arguments.core)
 
-    mix = Mix(mutant.kinds, fixed=mutant.fixed, several=mutant.several)
+    mix = Mix(
+        mutant.kinds,
+        fixed=mutant.fixed,
+        several=mutant.several,
+        set_up=mutant.set_up,
+        ask=mutant.ask,
+    )
     summary = run_campaign(arguments.goals, arguments.seed, 1, stop_at_violation=True, mix=mix)
     caught = summary.violations[0][1].name if summary.violations else ""
     print(json.dumps({"goals": summary.goals, "caught by": caught}))

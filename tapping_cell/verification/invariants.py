@@ -13,6 +13,7 @@ from tapping_cell.logic.clock import to_nanoseconds, to_seconds
 from tapping_cell.logic.poses import from_message
 from tapping_cell.messages import (
     ArmState,
+    ConfirmTap,
     ErrorCode,
     HoldStill,
     PlanState,
@@ -22,9 +23,11 @@ from tapping_cell.messages import (
     Time,
 )
 from tapping_cell.se2 import Pose
+from tapping_cell.verification.confirmation_invariants import ConfirmationChecker
 from tapping_cell.verification.host import HostClock
 from tapping_cell.verification.physical_cell import PhysicalCell, Release
 from tapping_cell.verification.scheduler import Scheduler
+from tapping_cell.verification.set_up_invariants import SetUpChecker
 
 _ARM_STATES = {
     value: name for name, value in vars(ArmState).items() if name.isupper() and name != "ROS_TYPE"
@@ -217,6 +220,10 @@ class InvariantChecker:
     over_for_arm: int = 0
     """Id of the last tap of which the arm's process has received that it is over, while the arm
     served this tap; 0 if there is none."""
+    set_up: SetUpChecker | None = None
+    """Checker of a cell in set-up mode."""
+    confirmation: ConfirmationChecker | None = None
+    """Checker of a cell that asks a person before every tap."""
     _struck_until: float = -math.inf
     """Time at which the most recently released striker reaches the end of its stroke."""
     _asked_to_move: bool = True
@@ -283,6 +290,8 @@ class InvariantChecker:
                 self.commands[message.tap_id] = message
                 if node == "tap_planner":
                     self.planners.add(message.tap_id)
+                    if self.confirmation is not None:
+                        self.confirmation.on_tap(message)
                     self._check_goal_of(message.tap_id)
                     # Check after the current event: only then has the checker processed the
                     # observation on which the tap is based.
@@ -302,6 +311,14 @@ class InvariantChecker:
                 self._asked_to_move = False
         elif isinstance(message, PlanState) and node == "tap_planner":
             self._on_plan_state(message)
+            if self.confirmation is not None:
+                self.confirmation.on_plan_state(message)
+        if (
+            self.set_up is not None
+            and isinstance(message, ArmState | TapperState)
+            and node in ("scara_arm", "tapper_trigger")
+        ):
+            self.set_up.on_state(message)
 
     def after_event(self) -> None:
         """Check the invariants of releases, charging and motion after an event."""
@@ -311,6 +328,8 @@ class InvariantChecker:
             self._released += 1
         self._check_charge()
         self._check_motion()
+        if self.set_up is not None:
+            self.set_up.check_motion()
 
     # Releases
 
@@ -326,6 +345,8 @@ class InvariantChecker:
                 "no such tap", f"shot {shot} was released, but the tapper received no such tap"
             )
             return
+        if self.set_up is not None:
+            self.set_up.check_release(release)
         self._check_place(release, command)
         self._check_energy(release, command)
         self._struck_until = release.time + self.physical.flight(command.striker_speed)
@@ -638,6 +659,11 @@ class InvariantChecker:
                 " striker is charged",
             )
 
+    def check_speed(self, speed: float) -> None:
+        """Check the speed of a move before it begins, as a fraction of the maximum joint speeds."""
+        if self.set_up is not None:
+            self.set_up.check_speed(speed)
+
     def check_move(self, target: Joints) -> None:
         """Check that the arm truly stands at the target of a move that its driver reports as
         completed. Do not check this if the arm's board has lost its position."""
@@ -711,6 +737,9 @@ class InvariantChecker:
 
     def on_answer(self, service: str, request: object, response: object) -> None:
         """Process the answer to a service call."""
+        if self.confirmation is not None and isinstance(request, ConfirmTap.Request):
+            assert isinstance(response, ConfirmTap.Response)
+            self.confirmation.on_answer(request, response)
         if not isinstance(request, HoldStill.Request):
             return
         if isinstance(response, HoldStill.Response) and response.granted:
@@ -745,6 +774,8 @@ class InvariantChecker:
         """Process the answer that a state machine gives to its running job."""
         if process == "tapper_trigger" and job == "fire":
             self.last_check = self.scheduler.now, answer
+        if process == "tapper_trigger" and self.set_up is not None:
+            self.set_up.on_asked(job, answer)
 
     def on_goal_sent(self, goal: Pose, by_topic: bool) -> int:
         """Process a goal that a client sends to the planner by a topic or by an action. Return the
@@ -757,6 +788,8 @@ class InvariantChecker:
         goal."""
         self.planner_gone_since = self.scheduler.now
         self._tap_to_withdraw = 0
+        if self.confirmation is not None:
+            self.confirmation.on_planner_ended()
         goal, self._goal = self._goal, None
         if not crash:
             self._crashed = None
@@ -804,6 +837,9 @@ class InvariantChecker:
             self.violate("goal of nobody", f"the planner began the goal {pose}, which nobody sent")
             found = [self.on_goal_sent(pose, by_topic=True)]
         self._goal = found[-1]
+        if self.confirmation is not None:
+            resumed = self._crashed is not None and self._crashed[0] == self._goal
+            self.confirmation.on_goal_begun(self._goal, resumed)
         self._told_to_stop = False
         self._stops.clear()
         self._stopped.clear()

@@ -38,6 +38,10 @@ class Mutant:
     """Whether the hunt runs the cell with fixed tappers."""
     several: bool = False
     """Whether the hunt runs only cells with several objects."""
+    set_up: bool = False
+    """Whether the hunt runs the cell in set-up mode."""
+    ask: bool = False
+    """Whether the hunt runs a cell that asks a person before every tap."""
 
 
 MUTANTS: tuple[Mutant, ...] = (

@@ -106,6 +106,11 @@ class PhysicalCell:
         self.tapper_board.press_clear_button(self._scheduler.now)
         self.tapper_line.schedule()
 
+    def set_enabling_switch(self, held: bool) -> None:
+        """Hold or release the enabling switch at the tapper's board."""
+        self.tapper_board.set_enabling_switch(held, self._scheduler.now)
+        self.tapper_line.schedule()
+
     def set_interlock(self, closed: bool) -> None:
         """Open or close the guard."""
         self.tapper_board.set_interlock(closed, self._scheduler.now)

@@ -72,6 +72,7 @@ class TableTrial(Trial):
 
     makers = TABLE_MAKERS
     at_a_shot = TABLE_AT_A_SHOT
+    has_modes = False
     further_causes = TABLE_CAUSES
 
     def __init__(

@@ -17,7 +17,8 @@ from tapping_cell.configuration.files import shared_folder
 from tapping_cell.configuration.schema import load
 from tapping_cell.hardware.arm import ArmDriver
 from tapping_cell.hardware.scara import Joints
-from tapping_cell.hardware.tapper import TapperDriver
+from tapping_cell.hardware.tapper import TapperDriver, TapperSettings
+from tapping_cell.hardware.tapper_protocol import Mode
 from tapping_cell.logic import arm_jobs
 from tapping_cell.logic.arm import ArmLogic, ArmOptions
 from tapping_cell.logic.clock import NANOSECONDS, Now, to_stamp
@@ -34,11 +35,14 @@ from tapping_cell.messages import (
     ArmState,
     Bool,
     ErrorCode,
+    JointTrajectory,
+    JointTrajectoryPoint,
     ObjectState,
     ObjectStates,
     PlanState,
     PoseStamped,
     PositionObject,
+    SetBool,
     TapCommand,
     TapperState,
     Time,
@@ -47,20 +51,31 @@ from tapping_cell.messages import (
 from tapping_cell.se2 import Pose
 from tapping_cell.simulation.truth import TruthFile
 from tapping_cell.verification.camera import Camera
-from tapping_cell.verification.causes import COVERED, SHORT_TIME_LIMIT, explains, longest_effect
+from tapping_cell.verification.causes import (
+    COVERED,
+    KEY_ONLY,
+    SHORT_TIME_LIMIT,
+    SWITCH_UNKNOWN,
+    explains,
+    longest_effect,
+)
 from tapping_cell.verification.checked_arm import CheckedArm
+from tapping_cell.verification.confirmation_invariants import ConfirmationChecker
 from tapping_cell.verification.fault_target import Maker
 from tapping_cell.verification.faults import (
     ALL,
     ARM_ASKED,
     ARM_PROMISED,
+    ASK_MAKERS,
     AT_A_SHOT,
     CHECKED,
     MAKERS,
+    MODE_SHARE,
     MOMENTS,
     NODES,
     OF_A_SHOT,
     RELEASED,
+    SET_UP_MAKERS,
     Fault,
     Mix,
     Moment,
@@ -72,9 +87,12 @@ from tapping_cell.verification.further_panels import FurtherPanels, PanelPress
 from tapping_cell.verification.host import HostClock, Process, Program, copy_of
 from tapping_cell.verification.invariants import InvariantChecker, Violation
 from tapping_cell.verification.network import Network, Quality
+from tapping_cell.verification.people import KEY, SWITCH, ConfirmingPerson, EnablingPerson
 from tapping_cell.verification.physical_cell import PhysicalCell
 from tapping_cell.verification.scheduler import HangError, Scheduler
 from tapping_cell.verification.serial_line import BusyLine, SerialLine
+from tapping_cell.verification.set_up_invariants import ENERGY_J as SET_UP_ENERGY_J
+from tapping_cell.verification.set_up_invariants import SetUpChecker
 from tapping_cell.verification.stop_confirmation import (
     INSTRUCTION,
     ClearRequest,
@@ -108,6 +126,7 @@ SUBSCRIPTIONS = {
         "tap_command",
         "tapper_state",
         "joint_trajectory",
+        "enabling",
         "camera/pose",
         "emergency_stop",
     ),
@@ -117,6 +136,7 @@ SUBSCRIPTIONS = {
         "plan_state",
         "object_state",
         "object_states",
+        "enabling",
         "emergency_stop",
     ),
 }
@@ -152,6 +172,15 @@ SHARE_OF_SHORT_LIMITS, SHORT_LIMIT_S = 0.2, (2.0, 25.0)
 """Fraction of the runs whose goals have a short time limit, and the range of that limit in s."""
 SHARE_OF_ONE_FRAME = 0.25
 """Fraction of the runs in which the planner decides on a single frame of the object at rest."""
+SHARE_OF_SET_UP, SHARE_OF_ASKS = 0.1, 0.1
+"""Fraction of the runs in set-up mode, and of the runs that ask a person before every tap."""
+FROM_START, OF_GOAL, ON_REQUEST = "from the start", "of each goal", "on request"
+"""Ways in which the planner is told to ask before every tap."""
+CONFIRM_S = 15.0
+"""Time for which the planner waits for a person's answer, s."""
+SHARE_OF_UNENABLED_HOMING, SHARE_OF_UNENABLED_TAPS = 0.1, 0.2
+"""Fractions of the requests to home, and of other programs' taps, in set-up mode before which the
+person releases the enabling device."""
 PROGRAM_TAPS = 1.0
 """Mean number of taps that a program commands after each goal."""
 SHARE_OF_CONFLICTS = 0.1
@@ -251,6 +280,8 @@ class Trial:
     at_a_shot: tuple[str, ...] = AT_A_SHOT
     of_a_shot: tuple[str, ...] = OF_A_SHOT
     moments: tuple[str, ...] = MOMENTS
+    has_modes = True
+    """Whether some runs are in set-up mode, or ask a person before every tap."""
     further_causes: Mapping[int, frozenset[str]] = {}
     """Kinds of faults that explain an error code, in addition to the kinds in ``causes``."""
 
@@ -271,12 +302,27 @@ class Trial:
         self.scheduler = Scheduler()
         self.report = Report(seed)
         self._tracing = trace
+        self._mode_rng = np.random.default_rng([seed, 6])
+        self.set_up = self._draw_mode(mix.set_up, SHARE_OF_SET_UP)
+        """Whether the cell is in set-up mode."""
+        self.asks = ""
+        """How the planner is told to ask before every tap; empty: not at all."""
+        if self._draw_mode(mix.ask, SHARE_OF_ASKS):
+            ways = (FROM_START, OF_GOAL, ON_REQUEST)
+            self.asks = ways[int(self._mode_rng.integers(len(ways)))]
+        if self.set_up:
+            self.makers = {**self.makers, **SET_UP_MAKERS}
+            self.at_a_shot = (*self.at_a_shot, *tuple(SET_UP_MAKERS) * MODE_SHARE)
+        if self.asks:
+            self.makers = {**self.makers, **ASK_MAKERS}
+            self.at_a_shot = (*self.at_a_shot, *tuple(ASK_MAKERS) * MODE_SHARE)
         self.cell = self._make_cell(seed)
         truth = load(TruthFile, shared_folder() / "truth" / "default.yaml")
         self.physical = self._make_physical(truth, seed)
         self.network = Network(self.scheduler, np.random.default_rng([seed, 2]), QUALITIES)
         self.joint_names: tuple[str, ...] = Joints._fields
-        self.arm_covers = self._covers()
+        # In set-up mode, the arm would hide the object for longer than the tapper tolerates.
+        self.arm_covers = self._covers() and not self.set_up
         self.short_time_limit = bool(self.rng.random() < SHARE_OF_SHORT_LIMITS)
         """Whether goals have a short time limit. Such a limit ends some goals even without a
         fault."""
@@ -285,6 +331,8 @@ class Trial:
             if self.short_time_limit
             else GOAL_TIME_LIMIT_S,
             frames_needed=1 if self.rng.random() < SHARE_OF_ONE_FRAME else 5,
+            ask=self.asks == FROM_START,
+            confirm_deadline=CONFIRM_S,
         )
         self._computers = {name: self._make_clock() for name in ("planner", "drivers", "camera")}
         self.clocks = {
@@ -299,6 +347,7 @@ class Trial:
         self.checker.deadlines = {
             PlanState.WAITING_FOR_CELL: self.settings.ready_deadline,
             PlanState.LOOKING: self.settings.observe_deadline,
+            PlanState.CONFIRMING: self.settings.confirm_deadline,
             PlanState.PLACING: self.settings.place_deadline,
             PlanState.FIRING: self.settings.fire_deadline,
             PlanState.SETTLING: self.settings.withdraw_deadline,
@@ -343,6 +392,13 @@ class Trial:
             process.on_log = self._on_log
         self._seconds: list[Process] = []
         self.camera = self._make_camera()
+        self._goal_began = 0.0
+        """Time at which the last goal was sent."""
+        self._enabler: EnablingPerson | None = None
+        if self.set_up:
+            self._bring_enabler()
+        if self.asks:
+            self._bring_confirmer()
         self._hidden_until = -math.inf
         self._disturbed_until = -math.inf
         """Time until which a fault, possibly of an earlier goal, may have an effect."""
@@ -376,6 +432,65 @@ class Trial:
         place = lens.pose.position
         place.x, place.y, place.z = truth.camera.position
         self.network.publish("camera_pose", "camera/pose", lens)
+
+    # People of the modes
+
+    def _draw_mode(self, always: bool, share: float) -> bool:
+        drawn = bool(self._mode_rng.random() < share)
+        return self.has_modes and (always or drawn)
+
+    def _bring_enabler(self) -> None:
+        """Let a person hold the enabling device, and check set-up mode."""
+        checker = SetUpChecker(
+            self.scheduler,
+            self.physical,
+            self.checker.violate,
+            lambda: self.processes["scara_arm"].runs_since,
+        )
+        self.checker.set_up = checker
+
+        def set_switch(held: bool) -> None:
+            self.physical.set_enabling_switch(held)
+            checker.on_switch(held)
+
+        rng = np.random.default_rng([self.seed, 7])
+        self._enabler = EnablingPerson(self.scheduler, self.network, set_switch, rng)
+
+    def _bring_confirmer(self) -> None:
+        """Let a person confirm the taps, and check the confirmations."""
+        self.checker.confirmation = ConfirmationChecker(
+            self.scheduler, self.physical, self.checker.violate, self.settings.ask
+        )
+
+        def note(kind: str) -> None:
+            self._note(f"PERSON {kind}")
+            self.note_kind(kind)
+            self.note_disturbance(CONFIRM_S)
+
+        rng = np.random.default_rng([self.seed, 8])
+        ConfirmingPerson(self.scheduler, self.network, rng, note, self._faulty)
+
+    def _add_conditions_of_set_up(self, struck: set[str]) -> None:
+        """Add that the person holds only the key, if the board therefore refuses the last tap."""
+        last = self.checker.commands.get(max(self.checker.commands, default=0))
+        if self._enabler is None or last is None or SWITCH in self._enabler.held:
+            return
+        if self.physical.energy_for(last.striker_speed) > SET_UP_ENERGY_J:
+            struck.add(KEY_ONLY)
+
+    def release_enabling(self, devices: tuple[str, ...], silent: bool, away: float) -> None:
+        """Let the person of set-up mode release these devices for ``away`` s. ``silent``: the key's
+        messages just end."""
+        if self._enabler is not None:
+            self._enabler.release(devices, silent, away)
+
+    def change_ask(self, ask: bool) -> None:
+        """Tell the planner whether to ask before every tap."""
+        process, checker = self.processes["tap_planner"], self.checker.confirmation
+        if process.alive and checker is not None:
+            self._token += 1
+            request, token = SetBool.Request(data=ask), ("person", self._token)
+            process.request("ask", request, token, lambda _: checker.on_asks(ask))
 
     # Methods that other kinds of cells override.
 
@@ -417,7 +532,10 @@ class Trial:
     def _request(self, index: int, message: PoseStamped) -> tuple[str, Any]:
         """Return the action and the request of a goal. ``index``: number of the request for the
         checker."""
-        return "position_object", PositionObject.Goal(goal_pose=message)
+        asks = self.asks == OF_GOAL
+        if asks and self.checker.confirmation is not None:
+            self.checker.confirmation.asking_goals.add(index)
+        return "position_object", PositionObject.Goal(goal_pose=message, ask=asks)
 
     def _put_back(self) -> None:
         """Put the object back in the middle of the table."""
@@ -465,21 +583,27 @@ class Trial:
         def arm() -> tuple[ArmLogic, CheckedArm]:
             arm_line.set_clock(self.clocks["scara_arm"].steady_offset)
             draw = np.random.default_rng([self.seed, 5, round(1e6 * self.scheduler.now)])
-            options = ArmOptions(draw_key=lambda: int(draw.integers(1, 2**63)))
+            options = ArmOptions(set_up=self.set_up, draw_key=lambda: int(draw.integers(1, 2**63)))
             driver = make_arm_driver(cell.arm, arm_line)
-            return ArmLogic(options), CheckedArm(driver, self.checker.check_move)
+            return ArmLogic(options), CheckedArm(
+                driver, self.checker.check_move, self.checker.check_speed
+            )
 
         def tapper() -> tuple[TapperLogic, TapperDriver]:
             tapper_line.set_clock(self.clocks["tapper_trigger"].steady_offset)
             draw = np.random.default_rng([self.seed, 4, round(1e6 * self.scheduler.now)])
-            driver = TapperDriver(tapper_line, draw_number=lambda below: int(draw.integers(below)))
+            settings = TapperSettings(mode=Mode.SETUP if self.set_up else Mode.RUN)
+            driver = TapperDriver(
+                tapper_line, settings, draw_number=lambda below: int(draw.integers(below))
+            )
 
             def draw_key() -> int:
                 key = int(draw.integers(1, 2**63))
                 self.checker.keys_of_tapper.add(key)
                 return key
 
-            return TapperLogic(TapperOptions(limits=limits, draw_key=draw_key)), driver
+            options = TapperOptions(limits=limits, set_up=self.set_up, draw_key=draw_key)
+            return TapperLogic(options), driver
 
         limits = PeerLimits(unseen=unseen, needs_camera=True)
         programs: dict[
@@ -568,7 +692,10 @@ class Trial:
         began = self.scheduler.now
         active = planner.active
         self._result = None
+        self._goal_began = began
         self._note(f"goal {number}: {goal}")
+        if self.asks == ON_REQUEST:
+            self.change_ask(True)
         self.send_goal(goal)
         self._waiting_faults = [fault for fault in faults if fault.moment is not None]
         self._moments.clear()
@@ -598,6 +725,7 @@ class Trial:
         quiet = quiet and active and began > self._disturbed_until
         if self._observe(self.scheduler.now) is None:
             struck.add(COVERED)
+        self._add_conditions_of_set_up(struck)
         if self.short_time_limit and not in_time:
             struck.add(SHORT_TIME_LIMIT)
         if result.error_code > 0 and not self._is_explained(result.error_code, struck):
@@ -606,7 +734,7 @@ class Trial:
                 f"goal {number} ended with code {result.error_code} ({result.error_msg}); none of"
                 f" the injected faults explains this: {', '.join(sorted(struck)) or '-'}",
             )
-        if quiet and result.error_code and SHORT_TIME_LIMIT not in struck:
+        if quiet and result.error_code and struck.isdisjoint((SHORT_TIME_LIMIT, KEY_ONLY)):
             self.checker.violate(
                 "failed without a fault", f"code {result.error_code}: {result.error_msg}"
             )
@@ -624,6 +752,7 @@ class Trial:
 
     def _work_on_a_tap(self) -> None:
         """Let another program command one tap, without the planner."""
+        self._release_before_a_tap()
         command = self._program_tap()
         if command is None:
             return
@@ -659,6 +788,22 @@ class Trial:
         self._waiting_faults = []
         self._struck_before = bool(faults)
         self.recover()
+
+    def _release_before_a_tap(self) -> None:
+        """In set-up mode, let the person sometimes release the enabling device before another
+        program commands a tap and perhaps a trajectory."""
+        share = SHARE_OF_UNENABLED_TAPS if self._enabler is not None and self._faulty else 0.0
+        if share and self._mode_rng.random() < share:
+            self._note("PERSON releases the enabling device")
+            self.note_kind("enabling device released")
+            self.release_enabling((KEY, SWITCH), False, 3.0)
+            self.scheduler.run(self.scheduler.now + 0.7)
+            if self._mode_rng.random() < 0.5:
+                point = JointTrajectoryPoint(positions=[0.5, 1.2, -0.02, 0.0])
+                message = JointTrajectory(joint_names=list(self.joint_names), points=[point])
+                self.network.publish("program", "joint_trajectory", message)
+                self.note_kind("foreign trajectory")
+                self.scheduler.run(self.scheduler.now + 0.1)
 
     def _publish_conflicting(self, command: TapCommand, conflicting: TapCommand) -> None:
         """Publish two different commands with the same id: one is delivered only to the arm, the
@@ -711,6 +856,10 @@ class Trial:
 
     def _is_explained(self, code: int, struck: set[str]) -> bool:
         """Return whether one of these kinds of faults explains the code."""
+        enabler = self._enabler
+        key_held = enabler is not None and enabler.key_held_since < self._goal_began
+        if code == ErrorCode.ENABLING_RELEASED and key_held:
+            struck = struck - SWITCH_UNKNOWN
         return explains(code, struck) or not struck.isdisjoint(self.further_causes.get(code, ()))
 
     def note_kind(self, kind: str) -> None:
@@ -1086,6 +1235,8 @@ class Trial:
         instructs."""
         self._away_until = -math.inf
         until = self.scheduler.now + RECOVERY_S
+        if self._enabler is not None:
+            self._enabler.change_grip()
         arm_states, tapper_states = ArmState, TapperState
         while self.scheduler.now < until:
             self.scheduler.run(self.scheduler.now + 1.0)
@@ -1107,8 +1258,7 @@ class Trial:
             if arm.state in (arm_states.STOPPED, arm_states.FAULT) or locked:
                 self._ask_to_clear("scara_arm")
             elif arm.state == arm_states.NOT_HOMED:
-                self.checker.motion_allowed = True
-                self.call_service("scara_arm", "~/home")
+                self._home()
         arm, tapper = self._last("arm_state"), self._last("tapper_state")
         self.checker.violate("no way back", f"arm {arm}, tapper {tapper}")
 
@@ -1116,6 +1266,16 @@ class Trial:
         """Return whether the person who recovers the cell waits: until every emergency stop is
         released, or because the person does something else."""
         return math.isfinite(self.checker.held_since) or self.scheduler.now < self._away_until
+
+    def _home(self) -> None:
+        """Home the arm. In set-up mode, the person sometimes releases the enabling device first."""
+        if self._enabler is not None:
+            self._enabler.change_grip()
+            if self._faulty and self._mode_rng.random() < SHARE_OF_UNENABLED_HOMING:
+                self._enabler.release((KEY, SWITCH), silent=False, away=1.0)
+                self.scheduler.run(self.scheduler.now + 0.7)
+        self.checker.motion_allowed = True
+        self.call_service("scara_arm", "~/home")
 
     def _ask_to_clear(self, node: str) -> None:
         """Ask a node to clear its stop or fault. Sometimes somebody stops the node again before it
@@ -1199,9 +1359,11 @@ class Trial:
     def _on_call(self, service: str, request: Any) -> None:
         if service == "hold_still" and request.duration > 0:
             self._reached(ARM_ASKED)
+        if service == "confirm_tap" and self.checker.confirmation is not None:
+            self.checker.confirmation.on_call(request)
 
     def _on_answer(self, node: str, service: str, request: Any, response: Any) -> None:
-        if node != "scara_arm":
+        if node not in ("scara_arm", "tap_planner"):
             return
         self.checker.on_answer(service, request, response)
         if service == "hold_still" and request.duration > 0:
@@ -1214,6 +1376,11 @@ class Trial:
 
     def _on_handled(self, process: str, topic: str, message: Any) -> None:
         now = self.scheduler.now
+        if self.checker.set_up is not None:
+            if topic == "enabling":
+                self.checker.set_up.on_device(process, KEY, message.data)
+            elif topic == "tapper_state" and process == "scara_arm":
+                self.checker.set_up.on_device(process, SWITCH, message.enabling_switch)
         if process == "scara_arm" and self._may_move_arm(topic, message):
             self.checker.ask_to_move()
         if process == "tapper_trigger" and topic == "arm_state":
