@@ -10,8 +10,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from tapping_cell.cli.goal_faults import hunt
-from tapping_cell.verification.fixed_mutants import FIXED_MUTANTS
-from tapping_cell.verification.mutants import MUTANTS
+from tapping_cell.verification.all_mutants import ALL_MUTANTS
 
 DEFAULT_COUNT = 400
 """Maximum number of goals of each mutant."""
@@ -21,7 +20,7 @@ SEED = 1
 def partial_reports(count: int) -> Iterator[list[dict[str, Any]]]:
     """Yield the results of all mutants so far, after each mutant."""
     results: list[dict[str, Any]] = []
-    for mutant in (*FIXED_MUTANTS, *MUTANTS):
+    for mutant in ALL_MUTANTS:
         results.append(hunt(mutant, count, SEED, len(os.sched_getaffinity(0))))
         yield results
 
@@ -29,8 +28,9 @@ def partial_reports(count: int) -> Iterator[list[dict[str, Any]]]:
 def lines(report: list[dict[str, Any]]) -> list[str]:
     """Return one line per mutant: its number of goals and the violated invariant."""
     caught = sum(bool(result["caught by"]) for result in report)
-    total = len(MUTANTS) + len(FIXED_MUTANTS)
-    return [f"{caught} of {len(report)} mutants caught ({total} in all), first seed {SEED}"] + [
+    return [
+        f"{caught} of {len(report)} mutants caught ({len(ALL_MUTANTS)} in all), first seed {SEED}"
+    ] + [
         f"{result['goals']:>5} goals  {result['name']:<58} {result['caught by'] or 'SURVIVED'}"
         for result in report
     ]

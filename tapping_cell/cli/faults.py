@@ -112,13 +112,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--fixed-tappers",
         action="store_true",
         help="simulate the positioning cell with fixed tappers, on one board or two, instead of "
-        "the cell with an arm (only with --goals or --replay; --mutants covers both)",
+        "the cell with an arm (only with --goals or --replay; --mutants covers all cells)",
     )
     parser.add_argument(
         "--several-objects",
         action="store_true",
         help="simulate only cells with two or three objects, instead of in one of ten runs (only "
-        "with --goals or --replay; not with --fixed-tappers)",
+        "with --goals or --replay)",
     )
     parser.add_argument(
         "--set-up",
@@ -219,8 +219,14 @@ def _refusal(arguments: argparse.Namespace) -> str:
         return "--taps, --goals and --jobs must be at least 1, --seed at least 0"
     if not 1.0 <= arguments.mean_faults <= 50.0:
         return "--mean-faults must be from 1 to 50"
-    if arguments.several_objects and arguments.fixed_tappers:
-        return "--several-objects and --fixed-tappers exclude each other; give one of them"
+    cells = {
+        "--fixed-tappers": arguments.fixed_tappers,
+        "--several-objects": arguments.several_objects,
+        "--set-up or --ask": arguments.set_up or arguments.ask,
+    }
+    chosen = [name for name, is_given in cells.items() if is_given]
+    if len(chosen) > 1:
+        return f"{' and '.join(chosen)} exclude each other; give one of them"
     ways = {
         "--taps": arguments.taps is not None,
         "--goals": arguments.goals is not None,

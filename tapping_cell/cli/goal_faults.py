@@ -12,14 +12,12 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from tapping_cell.cli.errors import print_error
 from tapping_cell.report import error_codes
+from tapping_cell.verification.all_mutants import ALL_MUTANTS
 from tapping_cell.verification.campaign import Summary, run_campaign, run_trial
 from tapping_cell.verification.faults import ALL, ASK_MAKERS, KINDS, SET_UP_MAKERS, Mix
 from tapping_cell.verification.fixed_faults import FIXED_MAKERS
-from tapping_cell.verification.fixed_mutants import FIXED_MUTANTS
-from tapping_cell.verification.mode_mutants import MODE_MUTANTS
-from tapping_cell.verification.mutants import MUTANTS, Mutant
+from tapping_cell.verification.mutants import Mutant
 from tapping_cell.verification.table_faults import TABLE_MAKERS
-from tapping_cell.verification.table_mutants import TABLE_MUTANTS
 
 TRACE_LINES = 60
 """Number of printed lines of a violation's trace; ``--replay`` prints the whole trace."""
@@ -84,12 +82,11 @@ def replay(seed: int, goals: int, mix: Mix = ALL) -> int:
 def run_mutants(goals: int, seed: int, jobs: int, names: Sequence[str], as_json: bool) -> int:
     """Test each mutant in separate processes. Return exit code 0 only if all mutants are
     detected."""
-    mutants = (*MUTANTS, *FIXED_MUTANTS, *TABLE_MUTANTS, *MODE_MUTANTS)
-    unknown = sorted(set(names) - {mutant.name for mutant in mutants})
+    unknown = sorted(set(names) - {mutant.name for mutant in ALL_MUTANTS})
     if unknown:
         print_error(f"no such mutants: {'; '.join(unknown)}")
         return 2
-    chosen = [mutant for mutant in mutants if not names or mutant.name in names]
+    chosen = [mutant for mutant in ALL_MUTANTS if not names or mutant.name in names]
     if not as_json:
         print(f"{'defect':<{NAME_WIDTH}} {'finding':<8} {'goals':>6}  {'caught by':<24} faults")
     results: list[dict[str, object]] = []

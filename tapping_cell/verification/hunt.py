@@ -9,10 +9,8 @@ import argparse
 import json
 import sys
 
-from tapping_cell.verification.fixed_mutants import FIXED_MUTANTS
-from tapping_cell.verification.mode_mutants import MODE_MUTANTS
-from tapping_cell.verification.mutants import MUTANTS, plant
-from tapping_cell.verification.table_mutants import TABLE_MUTANTS
+from tapping_cell.verification.all_mutants import ALL_MUTANTS
+from tapping_cell.verification.mutants import plant
 
 
 def main() -> int:
@@ -20,13 +18,12 @@ def main() -> int:
     Print the number of goals and the name of the violated invariant (empty if no violation
     occurred) as JSON."""
     parser = argparse.ArgumentParser(description=__doc__)
-    known = (*MUTANTS, *FIXED_MUTANTS, *TABLE_MUTANTS, *MODE_MUTANTS)
-    parser.add_argument("name", choices=[mutant.name for mutant in known])
+    parser.add_argument("name", choices=[mutant.name for mutant in ALL_MUTANTS])
     parser.add_argument("--goals", type=int, default=100)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--core", type=int, default=0, help="the core to stay on")
     arguments = parser.parse_args()
-    (mutant,) = (mutant for mutant in known if mutant.name == arguments.name)
+    (mutant,) = (mutant for mutant in ALL_MUTANTS if mutant.name == arguments.name)
     plant(mutant)
     from tapping_cell.verification.campaign import (  # imported only after the mutant is applied
         run_campaign,

@@ -8,9 +8,7 @@ import pytest
 from tapping_cell.messages import ArmState, ConfirmTap, PlannedTap, PlanState, TapCommand
 from tapping_cell.verification.campaign import run_trial
 from tapping_cell.verification.confirmation_invariants import ConfirmationChecker
-from tapping_cell.verification.faults import ASK_MAKERS, MAKERS, SET_UP_MAKERS, Mix
-from tapping_cell.verification.mode_mutants import MODE_MUTANTS
-from tapping_cell.verification.mutants import Mutant, mutated, parts_of
+from tapping_cell.verification.faults import Mix
 from tapping_cell.verification.people import KEY, SWITCH
 from tapping_cell.verification.physical_cell import Release
 from tapping_cell.verification.set_up_invariants import SetUpChecker
@@ -238,11 +236,3 @@ def test_a_goal_and_its_resumption_demand_confirmations(asked: Confirmations) ->
     asked.checker.on_planner_ended()
     asked.checker.on_goal_begun(4, resumed=True)
     assert asked.tap(9) == ["tap not confirmed"] * 2
-
-
-@pytest.mark.parametrize("mutant", MODE_MUTANTS, ids=lambda mutant: mutant.name)
-def test_every_mutant_applies_to_the_source(mutant: Mutant) -> None:
-    for part in parts_of(mutant):
-        compile(mutated(part), "mutant", "exec")
-    assert mutant.set_up or mutant.ask
-    assert set(mutant.kinds) <= {*MAKERS, *SET_UP_MAKERS, *ASK_MAKERS}

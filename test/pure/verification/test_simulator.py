@@ -8,7 +8,6 @@ import math
 import pytest
 
 from tapping_cell.verification.campaign import run_trial
-from tapping_cell.verification.mutants import MUTANTS, Mutant, mutated, parts_of
 from tapping_cell.verification.scheduler import Fiber, HangError, Killed, Scheduler
 
 RUNS = 30
@@ -67,14 +66,3 @@ def test_nothing_unsafe_happens_under_random_faults(seed: int) -> None:
     report = run_trial(1000 + seed, GOALS)
     assert report.violations == []
     assert len(report.outcomes) == GOALS
-
-
-@pytest.mark.parametrize("mutant", MUTANTS, ids=lambda mutant: mutant.name)
-def test_every_mutant_applies_to_the_source(mutant: Mutant) -> None:
-    for part in parts_of(mutant):
-        compile(mutated(part), "mutant", "exec")
-
-
-def test_there_are_enough_mutants_with_unique_names() -> None:
-    names = [mutant.name for mutant in MUTANTS]
-    assert len(set(names)) == len(names) >= 30
