@@ -247,7 +247,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         if topic == "tap_command":
             self._tap_command(message, now)
         elif topic == "tapper_state":
-            self._enabling.on_switch(message.enabling_switch, now)
+            self._enabling.on_reported_switch(message.enabling_switch, message.header.stamp, now)
             self._on_tapper_state(message, now)
             self._watch_enabling(now)
         elif topic == "joint_trajectory":

@@ -11,8 +11,9 @@ from __future__ import annotations
 import math
 
 from tapping_cell.logic.clock import Now
+from tapping_cell.logic.peer_clock import PeerClock
 from tapping_cell.logic.tap_commands import CodedError
-from tapping_cell.messages import ErrorCode
+from tapping_cell.messages import ErrorCode, Time
 
 TOPIC = "enabling"
 SOURCE = "enabling device released"
@@ -36,14 +37,27 @@ class EnablingDevice:
 
     def __init__(self) -> None:
         self._key_at = self._switch_at = -math.inf
+        self._tapper_clock = PeerClock()
 
     def on_key(self, held: bool, now: Now) -> None:
         """Process a message on the topic ``enabling``."""
         self._key_at = now.steady if held else -math.inf
 
     def on_switch(self, held: bool, now: Now) -> None:
-        """Process the reported state of the switch at the tapper's board."""
+        """Process the state of the switch that the tapper's board has just reported."""
         self._switch_at = now.steady if held else -math.inf
+
+    def on_reported_switch(self, held: bool, stamp: Time, now: Now) -> None:
+        """Process the state of the switch in a message of the tapper's node.
+
+        The switch was held at the time of the message's stamp, so a late or repeated message does
+        not count from its arrival. A message without a stamp does not enable motion.
+        """
+        self._tapper_clock.receive(stamp, now)
+        if not held:
+            self._switch_at = -math.inf
+        elif stamp.sec or stamp.nanosec:
+            self._switch_at = max(self._switch_at, self._tapper_clock.to_steady(stamp, now))
 
     def held(self, now: Now) -> bool:
         """Return whether a device is held now."""

@@ -115,9 +115,12 @@ COVERED = "the arm covers the object"
 KEY_ONLY = "the person of set-up mode holds only the key"
 """Condition in which the tapper's board refuses more than its set-up energy."""
 SHORT_TIME_LIMIT = "the goal has a short time limit"
-SWITCH_UNKNOWN = ENDS | LINKS | TAPPER_LINE | TAPPER_POWER | FOREIGN | TAPPER_ENDS | {"deactivate"}
+SWITCH_UNKNOWN = (
+    ENDS | LINKS | TAPPER_LINE | TAPPER_POWER | FOREIGN | TAPPER_ENDS | {"deactivate", "clock step"}
+)
 """Kinds of faults after which arm or tapper may not know that the enabling switch is held: the
-board reports it to the tapper's node, and this node to the arm. The key does not depend on them."""
+board reports it to the tapper's node, and this node to the arm, which needs the time of the report.
+The key does not depend on them."""
 UNANSWERED = frozenset({"no answer", "late answer"})
 CAMERA = frozenset({"camera", "object moved", "object turned", "object creeps"})
 

@@ -287,8 +287,9 @@ def _foreign_command(rng: np.random.Generator, trial: FaultTarget) -> Made:
             request=TapCommand.WITHDRAW if withdraw else TapCommand.TAP, tap_id=number
         )
         if not withdraw and last:
-            # Copy the poses and the speed of the last command.
+            # Copy the object, the poses and the speed of the last command.
             model = t.checker.commands[last]
+            command.object_id = model.object_id
             command.strike_pose, command.striker_speed = model.strike_pose, model.striker_speed
             command.object_pose, command.predicted_pose = model.object_pose, model.predicted_pose
         now = t.clocks["tap_planner"].now().ros

@@ -204,7 +204,8 @@ class Process:
         self._answers: dict[Any, Callable[[Any], None]] = {}
         self._tick: Timer | None = None
         self._life = 0
-        self._started_at = math.inf
+        self.started_at = math.inf
+        """Time of the last start of the process, s."""
         self._connected = self._configured = False
         self._connecting = False
         """Whether the node tries to connect to its device and therefore handles no timer."""
@@ -224,7 +225,7 @@ class Process:
         """Time since which the process has run without a freeze, s; inf while it does not run."""
         if not self.alive or self._scheduler.now < self.frozen_until:
             return math.inf
-        return max(self._started_at, self.frozen_until)
+        return max(self.started_at, self.frozen_until)
 
     def start(self) -> None:
         """Start the process."""
@@ -247,7 +248,7 @@ class Process:
         for service in self._program.services:
             self._network.serve(self.name, service, self._serve(service))
         delay = self._draw(*START_S)
-        self._started_at = self._scheduler.now + delay
+        self.started_at = self._scheduler.now + delay
         self._tick = self._scheduler.after(delay, lambda: self._on_tick(life))
         if not self._program.lines:
             self._scheduler.after(delay, lambda: self._configure(life))

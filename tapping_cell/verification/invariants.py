@@ -239,8 +239,10 @@ class InvariantChecker:
     """State and tap id in the arm's last message."""
     _placed_until: float = -math.inf
     """Time at which the arm last ceased to move to a strike pose."""
-    _commanded_at: float = -math.inf
-    """Time at which the last tap was commanded."""
+    _commanded_at: dict[int, float] = field(default_factory=dict)
+    """For each tap, the time at which it was first commanded."""
+    _placed_tap: int = 0
+    """Last tap for which the arm has moved to a strike pose; 0 if there is none."""
     _clear: bool = False
     """Whether the arm's last message says that the arm does not hide the object."""
     _requests: list[tuple[Pose, bool]] = field(default_factory=list)
@@ -285,8 +287,7 @@ class InvariantChecker:
             if node == "tap_planner":
                 self._note_tap(message)
             if message.request == TapCommand.TAP:
-                if message.tap_id not in self.commands:  # not a repetition
-                    self._commanded_at = self.scheduler.now
+                self._commanded_at.setdefault(message.tap_id, self.scheduler.now)
                 self.commands[message.tap_id] = message
                 if node == "tap_planner":
                     self.planners.add(message.tap_id)
@@ -303,6 +304,8 @@ class InvariantChecker:
         elif isinstance(message, ArmState) and node == "scara_arm":
             if self._arm[0] == ArmState.MOVING:
                 self._placed_until = self.scheduler.now
+            if message.state == ArmState.MOVING and message.tap_id:
+                self._placed_tap = message.tap_id
             self._arm = message.state, message.tap_id
             self._check_reference(message)
             self._check_view(message)
@@ -717,12 +720,17 @@ class InvariantChecker:
             )
             self.unhomed_since = math.inf
 
+    @property
+    def _placed_tap_commanded_at(self) -> float:
+        """Time at which the arm's last tap was commanded."""
+        return self._commanded_at.get(self._placed_tap, -math.inf)
+
     def _check_view(self, message: ArmState) -> None:
         """Check that the arm does not hide the object when its node begins to report this."""
         before, self._clear = self._clear, message.clear_of_camera
         now, moved = self.scheduler.now, self.moved_by_hand
         # The arm leaves the view of the object that was tapped, wherever a hand has moved it since.
-        elsewhere = moved is not None and moved[0] > self._commanded_at
+        elsewhere = moved is not None and moved[0] > self._placed_tap_commanded_at
         if message.clear_of_camera and not before and not elsewhere:
             if self.physical.moving(now):
                 self.violate("false view", "the arm is reported clear of the camera while it moves")

@@ -63,12 +63,15 @@ class SetUpChecker:
     _commanded_until: float = -math.inf
     """Time by which the arm's line has delivered all commands sent before the release."""
 
-    def on_device(self, process: str, device: str, held: bool) -> None:
+    def on_device(self, process: str, device: str, held: bool, sent_at: float) -> None:
         """Process a message of a device (the page's key, or the switch in the tapper's state) that
-        a process has handled."""
-        now = self.scheduler.now
+        a process has handled.
+
+        ``sent_at``: time at which the message was sent. A message of the key has no stamp, so it
+        counts from its arrival."""
         before = self._until.get((process, device), -math.inf)
-        self._until[process, device] = now + HEARTBEAT_S if held else min(before, now)
+        end = sent_at + HEARTBEAT_S
+        self._until[process, device] = max(before, end) if held else min(before, self.scheduler.now)
 
     def on_switch(self, held: bool) -> None:
         """Process that a person holds or releases the switch at the tapper's board."""

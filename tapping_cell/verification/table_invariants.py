@@ -107,8 +107,10 @@ class TableInvariantChecker(InvariantChecker):
     """Id of the last tap that the planner has commanded."""
     _contact_at: float = -math.inf
     """Time of the last contact of two objects."""
-    _served: int = 0
-    """Id of the last tap that the arm has served."""
+    _served: str = ""
+    """Object of the last tap that the arm has served; empty for the cell's own object."""
+    _begun_by_arm: int = 0
+    """Id of the last tap that the arm has begun to serve."""
     _goal_begun_at: float = -math.inf
 
     @property
@@ -207,6 +209,17 @@ class TableInvariantChecker(InvariantChecker):
         self.scheduler.after(WITHDRAWN_S, check)
 
     # Commands
+
+    def on_planner_killed(self, crash: bool) -> None:
+        """Process the end of the planner's process, which can withdraw no tap any more."""
+        self._tap = 0
+        super(TableInvariantChecker, self).on_planner_killed(crash)
+
+    def on_tap_received_by_arm(self, command: TapCommand) -> None:
+        """Process a TAP that the arm's process has handled. Another command with the same id may
+        follow, but the arm refuses it."""
+        if self._arm == (ArmState.MOVING, command.tap_id) and command.tap_id != self._begun_by_arm:
+            self._begun_by_arm, self._served = command.tap_id, command.object_id
 
     def on_publish(self, node: str, topic: str, message: object) -> None:
         """Process a message that a node publishes."""
@@ -328,13 +341,11 @@ class TableInvariantChecker(InvariantChecker):
             )
 
     def _check_view(self, message: ArmState) -> None:
-        self._served = message.tap_id or self._served
-        if self._contact_at > self._commanded_at:
+        if self._contact_at > self._placed_tap_commanded_at:
             # The object that was tapped has hit another one and is not where the arm expects it.
             self._clear = message.clear_of_camera
             return
-        command = self.commands.get(self._served)
-        with self.regarding(command.object_id if command is not None else ""):
+        with self.regarding(self._served):
             super(TableInvariantChecker, self)._check_view(message)
 
     # Reports and goals

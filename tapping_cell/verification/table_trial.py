@@ -256,6 +256,8 @@ class TableTrial(Trial):
 
     def _on_handled(self, process: str, topic: str, message: Any) -> None:
         super()._on_handled(process, topic, message)
+        if (process, topic) == ("scara_arm", "tap_command") and message.request == TapCommand.TAP:
+            self.checker.on_tap_received_by_arm(message)
         if process == "tapper_trigger" and topic == "object_states":
             for state in message.objects[1:]:
                 self.checker.on_state_received_by_tapper(state)

@@ -205,6 +205,9 @@ SHARE_OF_SHORT_EXPIRIES, SHORT_EXPIRY_S = 0.1, (0.2, 4.0)
 SHARE_OF_FUTURE_STAMPS, FUTURE_STAMP_S = 0.05, (1.5, 3600.0)
 """Fraction of the taps of other programs with a stamp in the future, and the range by which this
 stamp is ahead of the clock, s."""
+CLOCK_KNOWN_S, CLOCK_ERROR_S = 10.0, 0.05
+"""Time after its start in which the arm's node measures the tapper's clock, and maximum error of
+this measurement, s. The error is the minimum delay of the messages in this time."""
 GOAL_SLACK_S = 5.0
 """Maximum time from a goal's time limit to the goal's end, if the planner's process is running."""
 STOP_DELIVERY_S = 0.1
@@ -395,6 +398,8 @@ class Trial:
         self._goal_began = 0.0
         """Time at which the last goal was sent."""
         self._enabler: EnablingPerson | None = None
+        self._reports_of_switch: dict[tuple[int, int], float] = {}
+        """In set-up mode, the time at which the tapper's node published each stamp."""
         if self.set_up:
             self._bring_enabler()
         if self.asks:
@@ -1316,6 +1321,8 @@ class Trial:
                 self._last_reports[node, topic] = text
                 self._note(text)
         self.checker.on_publish(node, topic, message)
+        if self.set_up and (node, topic) == ("tapper_trigger", "tapper_state"):
+            self._reports_of_switch.setdefault(_key(message.header.stamp), self.scheduler.now)
         if topic == "~/stop_state":
             self.confirmation.on_stop_state(node, message.stopped)
         if topic == "~/stop_state" and not message.stopped and node in self._asked_to_clear:
@@ -1378,9 +1385,10 @@ class Trial:
         now = self.scheduler.now
         if self.checker.set_up is not None:
             if topic == "enabling":
-                self.checker.set_up.on_device(process, KEY, message.data)
+                self.checker.set_up.on_device(process, KEY, message.data, now)
             elif topic == "tapper_state" and process == "scara_arm":
-                self.checker.set_up.on_device(process, SWITCH, message.enabling_switch)
+                sent_at = self._reported_at(message.header.stamp)
+                self.checker.set_up.on_device(process, SWITCH, message.enabling_switch, sent_at)
         if process == "scara_arm" and self._may_move_arm(topic, message):
             self.checker.ask_to_move()
         if process == "tapper_trigger" and topic == "arm_state":
@@ -1435,6 +1443,14 @@ class Trial:
         if withdrawn and process == "tapper_trigger" and message.tap_id in self._taken:
             self.checker.ended_taps.setdefault(message.tap_id, now)
 
+    def _reported_at(self, stamp: Time) -> float:
+        """Return the time at which the tapper's node published the message with this stamp; after a
+        start of the arm's node, which does not know the tapper's clock yet, the present time."""
+        now = self.scheduler.now
+        if now - self.processes["scara_arm"].started_at < CLOCK_KNOWN_S:
+            return now
+        return self._reports_of_switch.get(_key(stamp), now) + CLOCK_ERROR_S
+
     def _may_move_arm(self, topic: str, message: Any) -> bool:
         """Return whether a message is allowed to make the arm move. A withdrawal must not move the
         arm unless the arm has received its tap since the last stop."""
@@ -1467,6 +1483,10 @@ class Trial:
     def _note(self, entry: str) -> None:
         if self._tracing:
             self.report.trace.append(f"{self.scheduler.now:12.6f} {entry}")
+
+
+def _key(stamp: Time) -> tuple[int, int]:
+    return stamp.sec, stamp.nanosec
 
 
 def _short(message: Any) -> str:

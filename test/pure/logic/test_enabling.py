@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from test_permit import CELL, START, Pair, at, board, jobs, messages
 
@@ -15,6 +15,7 @@ from tapping_cell.logic import arm as arms
 from tapping_cell.logic import enabling
 from tapping_cell.logic import tapper as tappers
 from tapping_cell.logic.arm_jobs import Reading
+from tapping_cell.logic.clock import to_stamp
 from tapping_cell.logic.effects import Answer, JobEnded, StopWire
 from tapping_cell.logic.enabling import HEARTBEAT_S, EnablingDevice
 from tapping_cell.logic.host import Activated, Configured
@@ -113,11 +114,47 @@ def test_releasing_the_key_does_not_stop_an_idle_arm() -> None:
     assert arm.state is arms.State.IDLE
 
 
+def report(published: float, held: bool = True) -> TapperState:
+    """Return a report of the tapper's node that was published at this steady time, s."""
+    made = TapperState(enabling_switch=held)
+    made.header.stamp = to_stamp(at(published).ros)
+    return made
+
+
+def begins_a_tap(arm: arms.ArmLogic, time: float) -> bool:
+    command = Pair().command(TapCommand.TAP, at(time))
+    return bool(jobs(arm.on_message("tap_command", command, at(time))))
+
+
 def test_the_foot_switch_enables_as_the_key_does() -> None:
     arm = idle_arm()
+    arm.on_message("tapper_state", report(START), at(START))
+    assert begins_a_tap(arm, START) and arm.state is arms.State.PLACING
+
+
+def test_a_report_of_the_switch_without_a_stamp_does_not_enable() -> None:
+    arm = idle_arm()
     arm.on_message("tapper_state", TapperState(enabling_switch=True), at(START))
-    made = arm.on_message("tap_command", Pair().command(TapCommand.TAP, at(START)), at(START))
-    assert jobs(made) and arm.state is arms.State.PLACING
+    assert not begins_a_tap(arm, START)
+
+
+@given(st.floats(0.0, 3.0))
+def test_a_late_report_of_the_switch_counts_from_its_stamp(delay: float) -> None:
+    assume(abs(delay - HEARTBEAT_S) > 1e-6)
+    arm = idle_arm()
+    arm.on_message("tapper_state", report(START), at(START))
+    now = START + 3.0
+    arm.on_message("tapper_state", report(now - delay), at(now))
+    assert begins_a_tap(arm, now) == (delay <= HEARTBEAT_S)
+
+
+@pytest.mark.parametrize("old", [True, False])
+def test_a_repeated_report_of_the_switch_changes_nothing_unless_it_was_released(old: bool) -> None:
+    arm = idle_arm()
+    arm.on_message("tapper_state", report(START, held=old), at(START))
+    arm.on_message("tapper_state", report(START + 3.0), at(START + 3.0))
+    arm.on_message("tapper_state", report(START, held=old), at(START + 3.1))
+    assert begins_a_tap(arm, START + 3.1) == old
 
 
 @given(st.floats(0.0, 1.0))

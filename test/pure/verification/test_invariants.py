@@ -10,6 +10,8 @@ from collections.abc import Callable
 
 import pytest
 
+from tapping_cell.messages import ArmState, TapCommand
+from tapping_cell.se2 import Pose
 from tapping_cell.verification.trial import Trial
 
 JOG = b"$J=G91 X0.5 F500\n"
@@ -85,3 +87,23 @@ def test_a_clear_that_a_frozen_arm_handles_after_the_release_is_not_a_violation(
     trial.scheduler.run(trial.scheduler.now + 20.0)
     trial.recover()
     assert trial.checker.violations == []
+
+
+def test_a_refused_command_does_not_hide_that_a_hand_moved_the_object(
+    trial: Trial, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The arm leaves the view of the object where its last tap expects it."""
+    checker, now = trial.checker, trial.scheduler.now
+    monkeypatch.setattr(trial.physical, "view", lambda time: None)
+    checker.on_publish("program", "tap_command", TapCommand(tap_id=7))
+    checker.on_publish("scara_arm", "arm_state", ArmState(state=ArmState.MOVING, tap_id=7))
+    trial.scheduler.run(now + 1.0)
+    checker.moved_by_hand = trial.scheduler.now, Pose(0.0, 0.0, 0.0)
+    trial.scheduler.run(now + 2.0)
+    checker.on_publish("other program", "tap_command", TapCommand(tap_id=0))
+    checker.on_publish("scara_arm", "arm_state", ArmState(clear_of_camera=True))
+    assert checker.violations == []
+    checker.moved_by_hand = None
+    checker.on_publish("scara_arm", "arm_state", ArmState())
+    checker.on_publish("scara_arm", "arm_state", ArmState(clear_of_camera=True))
+    assert {violation.name for violation in checker.violations} == {"false view"}

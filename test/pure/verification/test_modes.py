@@ -129,7 +129,7 @@ def test_a_shot_without_the_device_is_detected(trial: Trial) -> None:
 
 def test_too_much_energy_without_the_switch_is_detected(trial: Trial) -> None:
     checker = checker_of(trial)
-    checker.on_device("tapper_trigger", KEY, True)
+    checker.on_device("tapper_trigger", KEY, True, checker.scheduler.now)
     checker.on_switch(True)
     checker.check_release(release_of(trial, 0.02))
     assert found(trial) == set()
