@@ -112,6 +112,8 @@ class ArrangementTask(Task):
     """Corrections of the model for each object, learnt in earlier goals."""
     adapt: bool
     in_order: bool
+    memory: float = 0.0
+    """Time after which an unseen object that must not be moved counts as removed, s."""
     obstacles: Sequence[KeepOut] = ()
     """Areas on the table that belong to no object of the cell."""
     arrangement: ArrangementSession | None = None
@@ -145,8 +147,9 @@ class ArrangementTask(Task):
         """Return whether every object was seen at rest after the steady time ``after``.
 
         If every object was seen, the monitor watches the present object after this call; otherwise
-        it watches the first object that was not seen. An object that must not be moved is not
-        considered until it is seen on the table for the first time.
+        it watches the first object that was not seen. An object that must not be moved and has not
+        been seen for longer than ``memory`` counts as removed until it is seen again. A hand may
+        hide it for a shorter time.
         """
         found = {}
         present = self._present()
@@ -155,6 +158,7 @@ class ArrangementTask(Task):
             if not monitor.usable(after, frames, now):
                 state = monitor.object
                 absent = state is not None and not state.visible and not body.movable
+                absent = absent and monitor.unseen_for(now) > self.memory
                 if body.name not in present and absent and monitor.observed_at(now) > after:
                     continue
                 return False

@@ -468,6 +468,7 @@ class GoalHandling:
             known=dict(self._known),
             adapt=self._adapt,
             in_order=asked.in_order,
+            memory=self.other_objects.memory,
             obstacles=obstacles,
             ask=ask,
         )

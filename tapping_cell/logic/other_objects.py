@@ -38,10 +38,10 @@ class OtherObjects:
     """
 
     def __init__(self, files: Sequence[ObjectFile], memory: float, moved: float) -> None:
-        """``memory``: time in s after which an unseen object counts as removed; ``moved``: minimum
-        displacement in m that counts as motion."""
+        """``memory`` in s; ``moved``: minimum displacement in m that counts as motion."""
         self._files = tuple(files)
-        self._memory = memory
+        self.memory = memory
+        """Time after which an unseen object counts as removed, s."""
         self._moved = moved
         self._known: dict[str, _Known] = {}
         self._unknown: tuple[PolygonArea, ...] = ()
@@ -114,7 +114,7 @@ class OtherObjects:
 
     def _area(self, file: ObjectFile, now: Now) -> KeepOut | None:
         known = self._known.get(file.name)
-        if known is None or known.pose is None or now.steady - known.seen_at > self._memory:
+        if known is None or known.pose is None or now.steady - known.seen_at > self.memory:
             return None
         if file.shape.vertices is None:
             return CircleArea(known.pose.x, known.pose.y, file.shape.reach(), file.name)

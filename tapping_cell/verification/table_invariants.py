@@ -264,8 +264,6 @@ class TableInvariantChecker(InvariantChecker):
                 )
             if told.pose is None or now - told.seen > MEMORY_S - MEMORY_SLACK_S:
                 continue
-            if arranged and not told.visible and told.seen < self._goal_begun_at:
-                continue  # an arrangement begins without the objects that are not seen
             reference[name] = told.pose
             radius = self._table.radius
             if told.pose.distance_to(tip) < radius - OVERLAP_M:

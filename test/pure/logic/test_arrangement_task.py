@@ -367,13 +367,26 @@ def test_the_arm_withdraws_further_from_any_object_that_it_hides(cell: Table) ->
 def test_a_missing_object_without_a_goal_is_ignored(cell: Table) -> None:
     one, _, third = cell.names
     cell.hidden = {third}
+    cell.run(handling().other_objects.memory + 1.0)
     cell.send({one: moved(cell.poses[one], 0.02, 0.0)})
+    assert cell.end().error_code == ErrorCode.NONE
+
+
+def test_an_object_that_a_hand_hides_is_awaited_before_the_first_tap(cell: Table) -> None:
+    one, _, third = cell.names
+    cell.hidden = {third}
+    cell.run(0.3)
+    cell.send({one: moved(cell.poses[one], 0.02, 0.0)})
+    cell.run(1.0)
+    assert not cell.taps
+    cell.hidden = set()
     assert cell.end().error_code == ErrorCode.NONE
 
 
 def test_an_object_that_is_put_on_the_table_cancels_the_tap_and_is_avoided(cell: Table) -> None:
     one, _, third = cell.names
     cell.hidden = {third}
+    cell.run(handling().other_objects.memory + 1.0)
     goal = moved(cell.poses[one], 0.05, 0.0)
     cell.send({one: goal})
     cell.wait(lambda: cell.states[-1].state == PlanState.LOOKING, "it looks")

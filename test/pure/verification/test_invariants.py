@@ -94,6 +94,8 @@ def test_a_refused_command_does_not_hide_that_a_hand_moved_the_object(
 ) -> None:
     """The arm leaves the view of the object where its last tap expects it."""
     checker, now = trial.checker, trial.scheduler.now
+    for process in trial.processes.values():
+        process.kill()
     monkeypatch.setattr(trial.physical, "view", lambda time: None)
     checker.on_publish("program", "tap_command", TapCommand(tap_id=7))
     checker.on_publish("scara_arm", "arm_state", ArmState(state=ArmState.MOVING, tap_id=7))
