@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from enum import Enum
@@ -53,6 +54,9 @@ MUTE = (
     FaultReason.PROTOCOL,
     FaultReason.NEEDS_PERSON,
 )
+STOP_AGAIN_S = 1.0
+"""Minimum time between two transmissions of a latched stop to the device, s. It limits the load on
+the line if a publisher of ``emergency_stop`` repeats its level."""
 CONTINUE = (ErrorCode.NONE, "")
 
 State = TypeVar("State", bound=Enum)
@@ -83,6 +87,8 @@ class DeviceLogic(ABC, Generic[State, Event]):
         self.patience = FIRST_TIMEOUT_S
         self._machine = machine
         self._stops = stops.StopLatch()
+        self._stop_sent_at = -math.inf
+        """Time at which a stop of ``emergency_stop`` was last sent to the device, s."""
         self._active = False
         self._configured = False
         self._error: CodedError = CONTINUE
@@ -245,8 +251,10 @@ class DeviceLogic(ABC, Generic[State, Event]):
         """Handle a message."""
         if topic == stops.TOPIC:
             new = not self._stops.stopped and message.data
-            if new:
-                # The stop is sent before anything else.
+            if message.data and (new or now.steady - self._stop_sent_at >= STOP_AGAIN_S):
+                # The stop is sent before anything else. It is sent again if a person presses again,
+                # because the device may have missed it, or lost it together with its power.
+                self._stop_sent_at = now.steady
                 self._effects.append(StopWire())
             if self._stops.receive(bool(message.data)):
                 self._keep_stops(now)

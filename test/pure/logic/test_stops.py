@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -11,9 +12,13 @@ from hypothesis import strategies as st
 
 from tapping_cell.hardware.faults import FaultReason, HardwareFault
 from tapping_cell.logic import tapper_jobs
+from tapping_cell.logic.arm import ArmLogic, ArmOptions
 from tapping_cell.logic.clock import Now
-from tapping_cell.logic.effects import JobContext, StopLevels
+from tapping_cell.logic.device import STOP_AGAIN_S
+from tapping_cell.logic.effects import JobContext, StopLevels, StopWire
 from tapping_cell.logic.stops import CONFIRM_WITHIN_S, StopLatch
+from tapping_cell.logic.tapper import TapperLogic, TapperOptions
+from tapping_cell.messages import Bool
 
 QUIET = StopLevels(asserted=False, publishers=(), gone=())
 
@@ -145,3 +150,22 @@ def test_a_clear_that_was_overtaken_by_a_new_stop_leaves_the_stop_latched() -> N
         tapper_jobs.clear(context, is_stopped=lambda _: True)
     assert met.value.reason is FaultReason.STOPPED
     assert not cleared
+
+
+@pytest.mark.parametrize(
+    "device", [ArmLogic(ArmOptions()), TapperLogic(TapperOptions())], ids=["arm", "tapper"]
+)
+def test_a_repeated_emergency_stop_is_sent_again_but_not_at_every_message(
+    device: ArmLogic | TapperLogic,
+) -> None:
+    """A board that lost its power, or the first STOP, must stop when a person presses again."""
+    sent = []
+    for count in range(31):
+        time = 10.0 + 0.1 * count
+        effects = device.on_message("emergency_stop", Bool(data=True), Now(time, 0))
+        if any(isinstance(effect, StopWire) for effect in effects):
+            sent.append(time)
+    assert sent[0] == 10.0 and len(sent) in (3, 4)
+    assert all(later - earlier >= STOP_AGAIN_S for earlier, later in itertools.pairwise(sent))
+    effects = device.on_message("emergency_stop", Bool(data=False), Now(20.0, 0))
+    assert not any(isinstance(effect, StopWire) for effect in effects)
