@@ -219,14 +219,21 @@ def _refusal(arguments: argparse.Namespace) -> str:
         return "--taps, --goals and --jobs must be at least 1, --seed at least 0"
     if not 1.0 <= arguments.mean_faults <= 50.0:
         return "--mean-faults must be from 1 to 50"
-    cells = {
+    excluded = (
+        ("--fixed-tappers", "--several-objects"),
+        ("--fixed-tappers", "--ask"),
+        ("--several-objects", "--set-up"),
+        ("--several-objects", "--ask"),
+    )
+    chosen = {
         "--fixed-tappers": arguments.fixed_tappers,
         "--several-objects": arguments.several_objects,
-        "--set-up or --ask": arguments.set_up or arguments.ask,
+        "--set-up": arguments.set_up,
+        "--ask": arguments.ask,
     }
-    chosen = [name for name, is_given in cells.items() if is_given]
-    if len(chosen) > 1:
-        return f"{' and '.join(chosen)} exclude each other; give one of them"
+    for pair in excluded:
+        if all(chosen[name] for name in pair):
+            return f"{' and '.join(pair)} exclude each other; give one of them"
     ways = {
         "--taps": arguments.taps is not None,
         "--goals": arguments.goals is not None,

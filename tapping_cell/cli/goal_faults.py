@@ -15,7 +15,7 @@ from tapping_cell.report import error_codes
 from tapping_cell.verification.all_mutants import ALL_MUTANTS
 from tapping_cell.verification.campaign import Summary, run_campaign, run_trial
 from tapping_cell.verification.faults import ALL, ASK_MAKERS, KINDS, SET_UP_MAKERS, Mix
-from tapping_cell.verification.fixed_faults import FIXED_MAKERS
+from tapping_cell.verification.fixed_faults import FIXED_MAKERS, FIXED_SET_UP_MAKERS
 from tapping_cell.verification.mutants import Mutant
 from tapping_cell.verification.table_faults import TABLE_MAKERS
 
@@ -30,7 +30,7 @@ def run_goals(goals: int, seed: int, jobs: int, as_json: bool, mix: Mix = ALL) -
     """Run a campaign. Return exit code 0 only if no invariant was violated."""
     known = tuple(FIXED_MAKERS) if mix.fixed else tuple(TABLE_MAKERS) if mix.several else KINDS
     if mix.set_up:
-        known += tuple(SET_UP_MAKERS)
+        known += tuple(FIXED_SET_UP_MAKERS if mix.fixed else SET_UP_MAKERS)
     if mix.ask:
         known += tuple(ASK_MAKERS)
     unknown = sorted(set(mix.only) - set(known))

@@ -106,6 +106,10 @@ class PhysicalFixedCell(PhysicalCell):
         """Open or close the guard. Every board reads the guard's switch."""
         self._at_each(lambda board, now: board.set_interlock(closed, now))
 
+    def set_enabling_switch(self, held: bool) -> None:
+        """Hold or release the enabling switch. Every board reads this switch."""
+        self._at_each(lambda board, now: board.set_enabling_switch(held, now))
+
     def keep_out(self, tapper: str, out: bool) -> None:
         """Keep a striker off its mount, or put it back."""
         number, channel = self.place_of(tapper)

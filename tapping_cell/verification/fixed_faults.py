@@ -18,6 +18,7 @@ from tapping_cell.verification.faults import (
     CHECKED,
     MAKERS,
     RELEASED,
+    SET_UP_MAKERS,
     draw_duration,
     moment_name,
 )
@@ -200,6 +201,10 @@ FIXED_MAKERS: dict[str, Maker] = {
     "striker blocked": _blocked,
     "object creeps": _creep,
 }
+FIXED_SET_UP_MAKERS: dict[str, Maker] = {
+    kind: maker for kind, maker in SET_UP_MAKERS.items() if kind != "fast trajectory"
+}
+"""Additional kinds of faults of a positioning cell in set-up mode."""
 FIXED_AT_A_SHOT = (
     *("freeze at a shot", "freeze at a write", "freeze after the last check") * 2,
     *("striker stays out", "striker blocked", "foreign command") * 3,

@@ -11,8 +11,9 @@ import numpy as np
 
 from tapping_cell.configuration.cell import Cell, load_cell
 from tapping_cell.configuration.files import shared_folder
-from tapping_cell.hardware.tapper import TapperDriver
+from tapping_cell.hardware.tapper import TapperDriver, TapperSettings
 from tapping_cell.hardware.tapper_boards import TapperBoards
+from tapping_cell.hardware.tapper_protocol import Mode
 from tapping_cell.logic.clock import Now
 from tapping_cell.logic.fixed_goal_handling import FixedGoalHandling
 from tapping_cell.logic.goal_handling import GoalHandling
@@ -32,6 +33,7 @@ from tapping_cell.verification.fixed_faults import (
     FIXED_MAKERS,
     FIXED_MOMENTS,
     FIXED_OF_A_SHOT,
+    FIXED_SET_UP_MAKERS,
 )
 from tapping_cell.verification.fixed_invariants import FixedInvariantChecker
 from tapping_cell.verification.host import Program
@@ -89,7 +91,8 @@ class FixedTrial(Trial):
     physical: PhysicalFixedCell
     checker: FixedInvariantChecker
 
-    has_modes = False
+    has_confirmation = False
+    set_up_makers = FIXED_SET_UP_MAKERS
     devices = ("tapper_trigger",)
     nodes = ("tap_planner", "tapper_trigger")
     arm_node = "tapper_trigger"
@@ -151,12 +154,15 @@ class FixedTrial(Trial):
             draw = np.random.default_rng([self.seed, 4, round(1e6 * self.scheduler.now)])
             for line in lines:
                 line.set_clock(self.clocks["tapper_trigger"].steady_offset)
+            settings = TapperSettings(mode=Mode.SETUP if self.set_up else Mode.RUN)
             drivers = [
-                TapperDriver(line, draw_number=lambda below: int(draw.integers(below)))
+                TapperDriver(line, settings, draw_number=lambda below: int(draw.integers(below)))
                 for line in lines
             ]
-            options = TapperOptions(limits=PeerLimits(unseen=CLEAR_VIEW_S, needs_camera=True))
-            return TapperLogic(options), TapperBoards(drivers)
+            limits = PeerLimits(unseen=CLEAR_VIEW_S, needs_camera=True)
+            return TapperLogic(TapperOptions(limits=limits, set_up=self.set_up)), TapperBoards(
+                drivers
+            )
 
         return {
             "tap_planner": Program(
@@ -218,6 +224,8 @@ class FixedTrial(Trial):
         clear buttons, and clear faults."""
         self._away_until = -math.inf
         until = self.scheduler.now + RECOVERY_S
+        if self._enabler is not None:
+            self._enabler.change_grip()
         while self.scheduler.now < until:
             self.scheduler.run(self.scheduler.now + 1.0)
             tapper = self._last("tapper_state")

@@ -10,6 +10,7 @@ ENABLING = "tapping_cell.logic.enabling"
 PLANNER = "tapping_cell.logic.planner"
 CONFIRMATION = "tapping_cell.logic.confirmation"
 BOARD = "tapping_cell.simulation.tapper_emulator"
+TAPPER = "tapping_cell.logic.tapper"
 RELEASED = ("enabling device released",)
 
 MODE_MUTANTS: tuple[Mutant, ...] = (
@@ -59,6 +60,23 @@ MODE_MUTANTS: tuple[Mutant, ...] = (
         "scale = SET_UP_SPEED if self._options.set_up else 1.0",
         "scale = 1.0",
         kinds=("fast trajectory",),
+        set_up=True,
+    ),
+    # A cell with an arm stops the arm as well, and this ends the tap.
+    Mutant(
+        "fires without the enabling device",
+        TAPPER,
+        "        if self._set_up and not self._enabling.held(now):\n"
+        "            return enabling.RELEASED\n        if now.ros > tap.expiry:",
+        "        if now.ros > tap.expiry:",
+        also=Mutant(
+            "continues a tap without the enabling device",
+            TAPPER,
+            "if self._set_up and self.state in SERVING and not self._enabling.held(now):",
+            "if False:",
+        ),
+        kinds=RELEASED,
+        fixed=True,
         set_up=True,
     ),
     Mutant(

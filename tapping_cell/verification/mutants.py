@@ -175,9 +175,9 @@ MUTANTS: tuple[Mutant, ...] = (
     Mutant(
         "does not send a stop on the serial line",
         "tapping_cell.logic.device",
-        "                # The stop is sent before anything else.\n"
+        "                self._stop_sent_at = now.steady\n"
         "                self._effects.append(StopWire())\n",
-        "                pass\n",
+        "                self._stop_sent_at = now.steady\n",
         "S4",
         kinds=("emergency stop",),
     ),

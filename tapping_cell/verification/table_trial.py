@@ -72,7 +72,7 @@ class TableTrial(Trial):
 
     makers = TABLE_MAKERS
     at_a_shot = TABLE_AT_A_SHOT
-    has_modes = False
+    has_set_up, has_confirmation = False, False
     further_causes = TABLE_CAUSES
 
     def __init__(

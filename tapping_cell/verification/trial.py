@@ -283,8 +283,9 @@ class Trial:
     at_a_shot: tuple[str, ...] = AT_A_SHOT
     of_a_shot: tuple[str, ...] = OF_A_SHOT
     moments: tuple[str, ...] = MOMENTS
-    has_modes = True
+    has_set_up, has_confirmation = True, True
     """Whether some runs are in set-up mode, or ask a person before every tap."""
+    set_up_makers: Mapping[str, Maker] = SET_UP_MAKERS
     further_causes: Mapping[int, frozenset[str]] = {}
     """Kinds of faults that explain an error code, in addition to the kinds in ``causes``."""
 
@@ -306,16 +307,16 @@ class Trial:
         self.report = Report(seed)
         self._tracing = trace
         self._mode_rng = np.random.default_rng([seed, 6])
-        self.set_up = self._draw_mode(mix.set_up, SHARE_OF_SET_UP)
+        self.set_up = self._draw_mode(self.has_set_up, mix.set_up, SHARE_OF_SET_UP)
         """Whether the cell is in set-up mode."""
         self.asks = ""
         """How the planner is told to ask before every tap; empty: not at all."""
-        if self._draw_mode(mix.ask, SHARE_OF_ASKS):
+        if self._draw_mode(self.has_confirmation, mix.ask, SHARE_OF_ASKS):
             ways = (FROM_START, OF_GOAL, ON_REQUEST)
             self.asks = ways[int(self._mode_rng.integers(len(ways)))]
         if self.set_up:
-            self.makers = {**self.makers, **SET_UP_MAKERS}
-            self.at_a_shot = (*self.at_a_shot, *tuple(SET_UP_MAKERS) * MODE_SHARE)
+            self.makers = {**self.makers, **self.set_up_makers}
+            self.at_a_shot = (*self.at_a_shot, *tuple(self.set_up_makers) * MODE_SHARE)
         if self.asks:
             self.makers = {**self.makers, **ASK_MAKERS}
             self.at_a_shot = (*self.at_a_shot, *tuple(ASK_MAKERS) * MODE_SHARE)
@@ -440,9 +441,9 @@ class Trial:
 
     # People of the modes
 
-    def _draw_mode(self, always: bool, share: float) -> bool:
+    def _draw_mode(self, possible: bool, always: bool, share: float) -> bool:
         drawn = bool(self._mode_rng.random() < share)
-        return self.has_modes and (always or drawn)
+        return possible and (always or drawn)
 
     def _bring_enabler(self) -> None:
         """Let a person hold the enabling device, and check set-up mode."""
@@ -450,7 +451,8 @@ class Trial:
             self.scheduler,
             self.physical,
             self.checker.violate,
-            lambda: self.processes["scara_arm"].runs_since,
+            self.checker.arm_runs_since,
+            has_arm="scara_arm" in self.processes,
         )
         self.checker.set_up = checker
 

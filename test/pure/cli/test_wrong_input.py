@@ -75,7 +75,7 @@ WRONG: list[tuple[str, str]] = [
     ("up --no-record --runs elsewhere", "only without --no-record"),
     ("evaluate --sweep friction=0.1:0.4:7", "--report"),
     ("faults --taps 10 --goals 3", "--goals"),
-    ("faults --goals 3 --set-up --fixed-tappers", "exclude each other"),
+    ("faults --goals 3 --set-up --several-objects", "exclude each other"),
     # Values that no cell can accept.
     ("demo --goal 5000 0 0", "outside the usable area"),
     ("demo --goal 0 -221 0", "(103)"),

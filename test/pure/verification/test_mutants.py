@@ -6,7 +6,7 @@ import pytest
 
 from tapping_cell.verification.all_mutants import ALL_MUTANTS
 from tapping_cell.verification.faults import ASK_MAKERS, MAKERS, SET_UP_MAKERS
-from tapping_cell.verification.fixed_faults import FIXED_MAKERS
+from tapping_cell.verification.fixed_faults import FIXED_MAKERS, FIXED_SET_UP_MAKERS
 from tapping_cell.verification.fixed_mutants import FIXED_MUTANTS
 from tapping_cell.verification.mode_mutants import MODE_MUTANTS
 from tapping_cell.verification.mutants import Mutant, mutated, parts_of
@@ -17,7 +17,7 @@ from tapping_cell.verification.table_mutants import TABLE_MUTANTS
 def kinds_of_cell(mutant: Mutant) -> set[str]:
     """Return the kinds of faults that the cells of a mutant's hunt have."""
     if mutant.fixed:
-        return set(FIXED_MAKERS)
+        return {*FIXED_MAKERS, *(FIXED_SET_UP_MAKERS if mutant.set_up else ())}
     kinds = set(TABLE_MAKERS if mutant.several else MAKERS)
     if mutant.set_up:
         kinds |= set(SET_UP_MAKERS)
