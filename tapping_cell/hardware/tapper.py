@@ -784,8 +784,9 @@ class TapperDriver(RecordingTapper):
         elif reply.lacks_switch:
             reason, text = (
                 FaultReason.NOT_ENABLED,
-                "the enabling switch of set-up mode was released, so the tapper discharged more"
-                " than its set-up energy; hold the switch, or use less energy",
+                "the enabling switch of set-up mode was released; without it the tapper keeps at"
+                " most its set-up energy, so it discharged itself; hold the switch, or use less"
+                " energy",
             )
         else:
             reason, text = (

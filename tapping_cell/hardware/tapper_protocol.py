@@ -119,7 +119,8 @@ class Mode(Enum):
 
 
 SETUP_ENERGY = 0.005
-"""Maximum energy in set-up mode without the enabling switch, J."""
+"""Maximum energy in set-up mode without the enabling switch, J; ``TAPPER_SETUP_ENERGY_UJ`` of the
+firmware."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,7 +153,8 @@ class Reply:
 
     @property
     def lacks_switch(self) -> bool:
-        """Whether the board does not hold the energy of ``shot`` until the switch is held."""
+        """Whether the board refuses to keep the energy of ``shot``, because in set-up mode the
+        enabling switch is not held."""
         return self.mode is Mode.SETUP and not self.enabled and self.energy > SETUP_ENERGY
 
 

@@ -6,7 +6,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from enum import Enum
-from typing import Any, Generic, TypeVar
+from typing import Any, ClassVar, Generic, TypeVar
 
 from tapping_cell.hardware.faults import FaultReason, HardwareFault
 from tapping_cell.logic import stops
@@ -55,8 +55,8 @@ MUTE = (
     FaultReason.NEEDS_PERSON,
 )
 STOP_AGAIN_S = 1.0
-"""Minimum time between two transmissions of a latched stop to the device, s. It limits the load on
-the line if a publisher of ``emergency_stop`` repeats its level."""
+"""Minimum time between two transmissions of a latched stop to a device with ``repeats_stop``, s. It
+limits the load on the line if a publisher of ``emergency_stop`` repeats its level."""
 CONTINUE = (ErrorCode.NONE, "")
 
 State = TypeVar("State", bound=Enum)
@@ -81,6 +81,9 @@ class DeviceLogic(ABC, Generic[State, Event]):
 
     stop_error: CodedError
     stopped_state: State
+    repeats_stop: ClassVar[bool] = False
+    """Whether a latched stop is sent to the device again if ``emergency_stop`` is asserted again. A
+    device that loses its power also loses its latch."""
 
     def __init__(self, machine: StateMachine[State, Event], tick_period: float) -> None:
         self.tick_period = tick_period
@@ -251,9 +254,9 @@ class DeviceLogic(ABC, Generic[State, Event]):
         """Handle a message."""
         if topic == stops.TOPIC:
             new = not self._stops.stopped and message.data
-            if message.data and (new or now.steady - self._stop_sent_at >= STOP_AGAIN_S):
-                # The stop is sent before anything else. It is sent again if a person presses again,
-                # because the device may have missed it, or lost it together with its power.
+            again = self.repeats_stop and now.steady - self._stop_sent_at >= STOP_AGAIN_S
+            if message.data and (new or again):
+                # The stop is sent before anything else.
                 self._stop_sent_at = now.steady
                 self._effects.append(StopWire())
             if self._stops.receive(bool(message.data)):

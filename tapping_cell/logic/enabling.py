@@ -51,13 +51,19 @@ class EnablingDevice:
         """Process the state of the switch in a message of the tapper's node.
 
         The switch was held at the time of the message's stamp, so a late or repeated message does
-        not count from its arrival. A message without a stamp does not enable motion.
+        not count from its arrival, except the first message in 10 s. A message without a stamp does
+        not enable motion. If the clock of the tapper's computer is set back, the switch counts as
+        released for up to 10 s.
         """
         self._tapper_clock.receive(stamp, now)
         if not held:
             self._switch_at = -math.inf
         elif stamp.sec or stamp.nanosec:
             self._switch_at = max(self._switch_at, self._tapper_clock.to_steady(stamp, now))
+
+    def switch_held(self, now: Now) -> bool:
+        """Return whether the switch is held now."""
+        return now.steady - self._switch_at <= HEARTBEAT_S
 
     def held(self, now: Now) -> bool:
         """Return whether a device is held now."""

@@ -549,7 +549,7 @@ class PlannerLogic:
                 "max_taps": task.max_taps,
                 "taps": task.taps + (self._shot is not None),
                 "time_left": task.expires - now.steady,
-                "kept_at": now.ros,
+                "kept_at": now.steady,
                 "ask": self._asks(task),
                 "object_id": task.object_id,
             }
@@ -578,8 +578,10 @@ class PlannerLogic:
         try:
             message = PoseStamped(pose=to_message(Pose(*map(float, kept["goal"]))))
             position, angle = (float(value) for value in kept["tolerance"])
-            # After the goal was stored, only the time of the file was updated.
-            passed = 1e-9 * (now.ros - int(kept.get("kept_at", now.ros)))
+            # After the goal was stored, only the time of the file was updated. The steady clock
+            # starts anew when the computer starts.
+            passed = now.steady - float(kept.get("kept_at", now.steady))
+            passed = passed if passed >= 0 else event.kept_goal_age
             limit = max(float(kept["time_left"]) - max(passed, event.kept_goal_age), 1.0)
             most, ask = int(kept["max_taps"]), bool(kept["ask"])
             name = str(kept["object_id"])

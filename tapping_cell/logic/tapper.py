@@ -201,6 +201,7 @@ class TapperLogic(DeviceLogic[State, Event]):
     """See the module's docstring. Only jobs (``tapper_jobs``) of this machine charge and fire."""
 
     stopped_state = S.STOPPED
+    repeats_stop = True
     stop_error = (
         ErrorCode.TAPPER_STOPPED,
         "the tapper was stopped; make the cell safe, press the clear button at the tapper, then"
@@ -712,7 +713,6 @@ class TapperLogic(DeviceLogic[State, Event]):
             self._error = (ErrorCode.NONE, "")
 
     def _on_switch(self, reply: Reply, now: Now) -> None:
-        self._reported.enabling_switch = reply.enabled
         self._enabling.on_switch(reply.enabled, now)
         self._watch_enabling(now)
 
@@ -874,7 +874,7 @@ class TapperLogic(DeviceLogic[State, Event]):
             boot_number=reported.boot_number,
             interlock_closed=reported.interlock_closed,
             set_up=self._set_up,
-            enabling_switch=reported.enabling_switch,
+            enabling_switch=self._enabling.switch_held(now),
             last_stop=self._last_stop,
             error_code=code,
             error_msg=sentence,
@@ -902,8 +902,8 @@ def _why_not_charged(reply: Reply) -> CodedError:
     if reply.lacks_switch:
         return (
             ErrorCode.ENABLING_RELEASED,
-            "the enabling switch was released while the tapper was charged, so the tapper"
-            " discharged more than its set-up energy; hold the switch",
+            "the enabling switch was released while the tapper was charged; without it the tapper"
+            " keeps at most its set-up energy, so it discharged itself; hold the switch",
         )
     return (
         ErrorCode.TAPPER_FAULT,

@@ -58,6 +58,8 @@ class ConfirmationChecker:
     """Id of the last proposed tap."""
     _sent: set[int] = field(default_factory=set)
     """Ids of the taps for which a person has sent a confirmation."""
+    _accepted: set[int] = field(default_factory=set)
+    """Ids of the taps whose confirmation the planner has accepted."""
     _rejected: set[int] = field(default_factory=set)
     _confirmed: list[Confirmed] = field(default_factory=list)
 
@@ -108,6 +110,7 @@ class ConfirmationChecker:
             self._rejected.add(request.tap_id)
             self._confirmed.clear()
             return
+        self._accepted.add(request.tap_id)
         tap = self._proposals[request.tap_id]
         self._confirmed.append(Confirmed(tap, self.scheduler.now, [request.tap_id]))
 
@@ -117,7 +120,11 @@ class ConfirmationChecker:
         if tap_id in self._rejected:
             self.violate("rejected tap", f"tap {tap_id} was commanded after a person rejected it")
             return
-        if tap_id in self._sent or not (self._asks or self._goal_asks or tap_id in self._proposals):
+        if tap_id in self._sent:
+            # The planner answers within the same event.
+            self.scheduler.after(0.0, lambda: self._check_accepted(tap_id))
+            return
+        if not (self._asks or self._goal_asks or tap_id in self._proposals):
             return
         for confirmed in reversed(self._confirmed):
             if self._covers(confirmed, command):
@@ -128,6 +135,14 @@ class ConfirmationChecker:
             f"tap {tap_id} was commanded, but no person has confirmed it or a nearly equal tap"
             f" within {HOLDS_S:g} s",
         )
+
+    def _check_accepted(self, tap_id: int) -> None:
+        if tap_id not in self._accepted:
+            self.violate(
+                "tap not confirmed",
+                f"tap {tap_id} was commanded although the planner has not accepted the confirmation"
+                " that a person sent",
+            )
 
     def _covers(self, confirmed: Confirmed, command: TapCommand) -> bool:
         """Return whether a confirmation is valid for this tap: it is recent, its tap is nearly

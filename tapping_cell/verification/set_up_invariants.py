@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from tapping_cell.messages import ArmState, TapperState
+from tapping_cell.verification.people import KEY, SWITCH
 from tapping_cell.verification.physical_cell import PhysicalCell, Release
 from tapping_cell.verification.scheduler import Scheduler
 
@@ -21,6 +22,10 @@ SWITCH_S = 0.5
 WINDOW_S = 0.1
 """Maximum time from the release of the device to a release of the striker, s. The command FIRE may
 already have been sent, so this maximum is the board's longest firing window."""
+REPORTED_S = 1.0
+"""Maximum time from the release of the switch until the arm's process counts it as released, s:
+``SWITCH_S``, one period of the tapper's state, ``HEARTBEAT_S``, and the error of the clocks. After
+a freeze of the tapper's process, the time begins at the end of the freeze."""
 BEGIN_S = 0.2
 """Maximum time from the release of the device until the arm begins a further part of a motion, s:
 two periods of the node's timer and the time on the line."""
@@ -50,6 +55,10 @@ class SetUpChecker:
     violate: Callable[[str, str], None]
     arm_runs_since: Callable[[], float]
     has_arm: bool = True
+    tapper_frozen_until: Callable[[], float] = lambda: -math.inf
+    """Return the time until which the tapper's process is or was frozen."""
+    arm_knows_clock: Callable[[], bool] = lambda: True
+    """Return whether the arm's node knows the clock of the tapper's computer."""
     _until: dict[tuple[str, str], float] = field(default_factory=dict)
     """For each process and device: time until which the device counts as held."""
     _switch_released: float = -math.inf
@@ -111,12 +120,14 @@ class SetUpChecker:
     def enabled_until(self, process: str) -> float:
         """Return the time at which a process counts every device as released; a time in the future
         if no further message arrives until then."""
-        until = max(
-            (end for (name, _), end in self._until.items() if name == process), default=-math.inf
-        )
+        key, switch = (self._until.get((process, name), -math.inf) for name in (KEY, SWITCH))
         if process == "tapper_trigger":
-            until = max(until, self._switch_released + SWITCH_S)
-        return until
+            switch = self._switch_released + SWITCH_S
+        elif self.arm_knows_clock():
+            # The state that the tapper reports must be true.
+            released = max(self._switch_released, self.tapper_frozen_until())
+            switch = min(switch, released + REPORTED_S)
+        return max(key, switch)
 
     def check_release(self, release: Release) -> None:
         """Check that a device was held, and that the energy was small without the switch."""

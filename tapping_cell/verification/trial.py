@@ -453,6 +453,8 @@ class Trial:
             self.checker.violate,
             self.checker.arm_runs_since,
             has_arm="scara_arm" in self.processes,
+            tapper_frozen_until=lambda: self.processes["tapper_trigger"].frozen_until,
+            arm_knows_clock=self._arm_knows_clock,
         )
         self.checker.set_up = checker
 
@@ -1449,9 +1451,12 @@ class Trial:
         """Return the time at which the tapper's node published the message with this stamp; after a
         start of the arm's node, which does not know the tapper's clock yet, the present time."""
         now = self.scheduler.now
-        if now - self.processes["scara_arm"].started_at < CLOCK_KNOWN_S:
+        if not self._arm_knows_clock():
             return now
         return self._reports_of_switch.get(_key(stamp), now) + CLOCK_ERROR_S
+
+    def _arm_knows_clock(self) -> bool:
+        return self.scheduler.now - self.processes["scara_arm"].started_at >= CLOCK_KNOWN_S
 
     def _may_move_arm(self, topic: str, message: Any) -> bool:
         """Return whether a message is allowed to make the arm move. A withdrawal must not move the

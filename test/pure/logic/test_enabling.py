@@ -213,3 +213,18 @@ def test_without_set_up_mode_no_device_is_required() -> None:
         machine.on_tick(at(START + 0.1))
     assert pair.arm.state is arms.State.IN_POSITION
     assert pair.tapper.state is tappers.State.CHARGED
+
+
+@pytest.mark.parametrize("event", ["stop", "silence"])
+def test_a_switch_that_the_board_no_longer_reports_counts_as_released(event: str) -> None:
+    """A stopped tapper's board is not read, so its switch is not known."""
+    tapper, now = tappers.TapperLogic(tappers.TapperOptions(set_up=True)), at(START)
+    held = replace(board(BoardState.SAFE), enabled=True)
+    tapper.on_lifecycle(Configured(CELL, held), now)
+    tapper.on_lifecycle(Activated(), now)
+    (read,) = jobs(tapper.on_tick(at(START + 0.2)))
+    tapper.on_job(JobEnded(read, Status(held, 0)), at(START + 0.2))
+    if event == "stop":
+        tapper.on_message("emergency_stop", Bool(data=True), at(START + 0.25))
+    made = tapper.on_tick(at(START + 0.2 + 1.1 * HEARTBEAT_S))
+    assert not messages(made, "tapper_state")[-1].enabling_switch

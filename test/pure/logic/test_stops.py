@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 
 from tapping_cell.hardware.faults import FaultReason, HardwareFault
 from tapping_cell.logic import tapper_jobs
-from tapping_cell.logic.arm import ArmLogic, ArmOptions
 from tapping_cell.logic.clock import Now
 from tapping_cell.logic.device import STOP_AGAIN_S
 from tapping_cell.logic.effects import JobContext, StopLevels, StopWire
@@ -152,14 +151,9 @@ def test_a_clear_that_was_overtaken_by_a_new_stop_leaves_the_stop_latched() -> N
     assert not cleared
 
 
-@pytest.mark.parametrize(
-    "device", [ArmLogic(ArmOptions()), TapperLogic(TapperOptions())], ids=["arm", "tapper"]
-)
-def test_a_repeated_emergency_stop_is_sent_again_but_not_at_every_message(
-    device: ArmLogic | TapperLogic,
-) -> None:
+def test_a_repeated_emergency_stop_is_sent_to_the_tapper_again_but_not_at_every_message() -> None:
     """A board that lost its power, or the first STOP, must stop when a person presses again."""
-    sent = []
+    device, sent = TapperLogic(TapperOptions()), []
     for count in range(31):
         time = 10.0 + 0.1 * count
         effects = device.on_message("emergency_stop", Bool(data=True), Now(time, 0))
