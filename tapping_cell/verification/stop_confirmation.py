@@ -45,8 +45,8 @@ class StopConfirmation:
     """Nodes with a stop whose publisher has vanished while it asserted this stop."""
     _told_late: set[str] = field(default_factory=set)
     """Nodes that received such a stop only after its publisher had vanished."""
-    _refused: dict[str, float] = field(default_factory=dict)
-    """For each node, the time of its last refusal since the last stop."""
+    _refused: dict[str, list[float]] = field(default_factory=dict)
+    """For each node, the times of its refusals since the last stop."""
     _latched: set[str] = field(default_factory=set)
     """Nodes that have published that a stop is latched."""
     _cleared: set[str] = field(default_factory=set)
@@ -115,16 +115,20 @@ class StopConfirmation:
         node = request.node
         if not success:
             if INSTRUCTION in sentence:
-                self._refused[node] = now
+                self._refused.setdefault(node, []).append(now)
             return False
         if node not in self._cleared:
             return False
         silent = sorted(volatile & request.volatile)
-        refused = self._refused.pop(node, -math.inf)
-        waited = request.received - refused
-        if (self.needs_confirmation(node) or silent) and not (
-            -ROUNDING_S <= waited <= CONFIRM_S + ROUNDING_S
-        ):
+        waited = min(
+            (
+                request.received - refused
+                for refused in self._refused.pop(node, [])
+                if refused <= request.received + ROUNDING_S
+            ),
+            default=math.inf,
+        )
+        if (self.needs_confirmation(node) or silent) and not (waited <= CONFIRM_S + ROUNDING_S):
             why = (
                 "whose publisher had vanished while it asserted the stop"
                 if self.needs_confirmation(node)

@@ -30,12 +30,13 @@ def worker_processes(
             started.value += 1
         begin(number)
 
+    others = set(multiprocessing.active_children())
     context = multiprocessing.get_context("fork")
     with ProcessPoolExecutor(count, mp_context=context, initializer=prepare) as pool:
         try:
             yield pool
         except BaseException:
-            for process in multiprocessing.active_children():
+            for process in set(multiprocessing.active_children()) - others:
                 process.terminate()
             pool.shutdown(wait=False, cancel_futures=True)
             raise
