@@ -80,6 +80,14 @@ MODE_MUTANTS: tuple[Mutant, ...] = (
         set_up=True,
     ),
     Mutant(
+        "counts a report of the switch from its arrival",
+        ENABLING,
+        "max(self._switch_at, self._tapper_clock.to_steady(stamp, now))",
+        "now.steady",
+        kinds=("enabling device released", "slow topic", "replay"),
+        set_up=True,
+    ),
+    Mutant(
         "waits too long for the next message of the enabling device",
         ENABLING,
         "HEARTBEAT_S = 0.35",
