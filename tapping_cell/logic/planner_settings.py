@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from tapping_cell.configuration.schema import choice, quantity, text
+from tapping_cell.configuration.schema import ConfigurationError, choice, quantity, text
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,7 +33,8 @@ class PlannerSettings:
         "maximum wait for an operator to confirm a tap", "s", 1.0, 3600.0, default=120.0
     )
     others_memory: float = quantity(
-        "time after which an obstacle that is no longer detected is assumed to have been removed",
+        "time after which an obstacle that is no longer detected is assumed to have been removed; "
+        "an arrangement waits for this time, so it must be less than observe_deadline",
         "s",
         0.2,
         3600.0,
@@ -101,3 +102,16 @@ class PlannerSettings:
         100,
         default=10,
     )
+
+    def check_for_other_objects(self) -> None:
+        """Check the settings of a cell with other objects.
+
+        Raises:
+            ConfigurationError: an arrangement would end before a removed object counts as removed.
+        """
+        if self.others_memory >= self.observe_deadline:
+            raise ConfigurationError(
+                f"others_memory ({self.others_memory:g} s) must be less than observe_deadline"
+                f" ({self.observe_deadline:g} s); otherwise an arrangement fails when an object is"
+                " removed from the table"
+            )

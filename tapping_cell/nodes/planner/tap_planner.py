@@ -118,6 +118,8 @@ class TapPlanner(LogicNode[Parameters]):
         settings = self.settings
         cell = load_cell(settings.cell_file or None, settings.object_file or None)
         others = load_further_objects(cell, settings.other_object_files)
+        if others:
+            settings.check_for_other_objects()
         try:
             goals = goal_handling_class(cell)(
                 cell,
