@@ -131,7 +131,7 @@ class ArrangementSession:
         self._by_name = {body.name: body for body in self.bodies}
         self._maps = AmongOthers() if maps is None else maps
         self._planner = SequencePlanner(self._maps) if planner is None else planner
-        self._known = {} if gains is None else gains
+        self._known: Mapping[str, Gains] = {} if gains is None else gains
         self.gains = {body.name: self._known.get(body.name, Gains.start()) for body in bodies}
         self._adapt = adapt
         self._order = tuple(order)
