@@ -152,14 +152,13 @@ class ArrangementTask(Task):
         hide it for a shorter time.
         """
         found = {}
-        present = self._present()
         for body in self.bodies:
             monitor.watch(body.name)
             if not monitor.usable(after, frames, now):
                 state = monitor.object
                 absent = state is not None and not state.visible and not body.movable
                 absent = absent and monitor.unseen_for(now) > self.memory
-                if body.name not in present and absent and monitor.observed_at(now) > after:
+                if absent and monitor.observed_at(now) > after:
                     continue
                 return False
             assert monitor.object is not None
@@ -183,19 +182,19 @@ class ArrangementTask(Task):
 
     def computation(self, frames: int) -> Callable[[], ArrangementDecision]:
         """Return the job that decides which object to tap and how; see ``Task.computation``."""
-        before = self.arrangement
-        if before is None or not self._seen.keys() <= self._present():
+        bodies = [body for body in self.bodies if body.name in self._seen]
+        if self.arrangement is None:
             self.arrangement = ArrangementSession(
-                [body for body in self.bodies if body.name in self._seen],
-                gains=self.known if before is None else {**self.known, **before.gains},
+                bodies,
+                gains=self.known,
                 adapt=self.adapt,
                 order=tuple(self.wanted) if self.in_order else (),
                 most_taps=self.max_taps,
                 obstacles=self.obstacles,
             )
-            if before is not None:  # another object was put on the table
-                self.arrangement.taps.update(before.taps)
-        assert self.arrangement is not None
+        elif self._seen.keys() != {body.name for body in self.arrangement.bodies}:
+            # An object was put on the table, or was taken away.
+            self.arrangement.set_bodies(bodies)
         return functools.partial(self._compute, self.arrangement, frames)
 
     def _compute(self, arrangement: ArrangementSession, frames: int) -> ArrangementDecision:
@@ -307,11 +306,6 @@ class ArrangementTask(Task):
             taps=self.taps,
             records=self.records,
         )
-
-    def _present(self) -> set[str]:
-        """Return the names of the objects among which the taps are planned."""
-        bodies = () if self.arrangement is None else self.arrangement.bodies
-        return {body.name for body in bodies}
 
     def _turn_to(self, name: str) -> None:
         """Make ``name`` the present object. This object is observed and reported from now on."""

@@ -57,6 +57,8 @@ class CellMonitor:
         self.camera_clock = self._clocks["object"]
         self._received = {name: -math.inf for name in NAMES}
         self._seen_at: dict[str, float] = {}
+        """Time at which each object was last seen, s of the steady clock; the time of the first
+        message about an object that was never seen."""
         self._stops: dict[str, set[int]] = {}
         """Times (ns) of the stops that arm and tapper have reported; 0 for no stop. They are all
         kept, because an old message may arrive again."""
@@ -109,6 +111,9 @@ class CellMonitor:
         if state.visible and not state.error_code:
             seen = self.camera_clock.to_steady(state.header.stamp, now)
             self._seen_at[name] = max(self._seen_at.get(name, -math.inf), seen)
+        else:
+            # An object may have been hidden only just before this process started.
+            self._seen_at.setdefault(name, now.steady)
 
     def on_arm(self, message: ArmState, now: Now) -> CodedError | None:
         """Process ``arm_state``. Return the error of a stop since the last message, or None."""
@@ -145,8 +150,9 @@ class CellMonitor:
         return self.camera_clock.to_steady(self.object.header.stamp, now)
 
     def unseen_for(self, now: Now) -> float:
-        """Return the time since the object was last seen, s; 0 if the last observation shows the
-        object, however old that observation is."""
+        """Return the time since the object was last seen, or since the first message about it if it
+        was never seen, s; 0 if the last observation shows the object, however old that observation
+        is."""
         seen = self.object
         if seen is not None and seen.visible and not seen.error_code:
             return 0.0

@@ -48,6 +48,10 @@ from tapping_cell.se2 import Array, Pose
 APPEARANCE_KEYS = ("name", "marker", "outline", "calibration")
 """Fields of an object file that do not affect how the object slides."""
 
+LONGEST_MEMORY_S = 5.0
+"""Maximum time for which an arrangement waits for an object that is not seen, s. It is less than the default of
+``observe_deadline``, after which the arrangement would end."""
+
 
 @dataclass(frozen=True, slots=True)
 class Request:
@@ -468,7 +472,7 @@ class GoalHandling:
             known=dict(self._known),
             adapt=self._adapt,
             in_order=asked.in_order,
-            memory=self.other_objects.memory,
+            memory=min(self.other_objects.memory, LONGEST_MEMORY_S),
             obstacles=obstacles,
             ask=ask,
         )

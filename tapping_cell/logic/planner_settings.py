@@ -33,7 +33,8 @@ class PlannerSettings:
         "maximum wait for an operator to confirm a tap", "s", 1.0, 3600.0, default=120.0
     )
     others_memory: float = quantity(
-        "time after which an obstacle that is no longer detected is assumed to have been removed",
+        "time after which an obstacle that is no longer detected is assumed to have been removed; "
+        "an arrangement waits for this time, but at most for 5 s, before it ignores the obstacle",
         "s",
         0.2,
         3600.0,

@@ -89,6 +89,7 @@ def _removed(rng: np.random.Generator, trial: FaultTarget) -> Made:
         if name in table.absent:
             return
         checker.note_hand(name, now, before)
+        checker.others[name].removed_until = now + lasting
         table.take_away(name)
         t.scheduler.after(lasting, partial(put_back, t, before))
 

@@ -53,6 +53,8 @@ class Sight:
     s from the start of the run."""
 
     hidden_since: float = math.inf
+    removed_until: float = -math.inf
+    """Time until which it is, or was last, off the table."""
     moved_by_hand: tuple[float, Pose] | None = None
     seen_by_tapper: deque[tuple[float, Pose]] = field(default_factory=lambda: deque(maxlen=100))
 
@@ -69,6 +71,8 @@ class Told:
     since: float = math.inf
     """Time at which the planner's process first received a pose that it still has, within
     ``BUMP_M``."""
+    received: float = -math.inf
+    """Time at which the planner's process last received that it was seen."""
     pose: Pose | None = None
     at_rest: bool = False
     visible: bool = False
@@ -99,6 +103,8 @@ class TableInvariantChecker(InvariantChecker):
     _planned_among: dict[int, dict[str, Pose]] = field(default_factory=dict)
     """For each tap, the poses of the objects that the planner's process had received last when it
     commanded the tap."""
+    _planned_without: dict[int, set[str]] = field(default_factory=dict)
+    """For each tap, the objects that counted as removed when the planner commanded the tap."""
     _withdrawn: set[int] = field(default_factory=set)
     _measured: dict[str, int] = field(default_factory=dict)
     """Stamp (ns) of the last measurement of each other object that the tapper received."""
@@ -165,11 +171,12 @@ class TableInvariantChecker(InvariantChecker):
         told.at_rest, told.visible = state.at_rest, state.visible
         if not state.visible:
             return
-        told.seen = max(told.seen, exposed)
+        told.seen, told.received = max(told.seen, exposed), self.scheduler.now
         pose = from_message(state.pose.pose)
         if told.pose is None or told.pose.distance_to(pose) > BUMP_M:
             told.pose, told.since = pose, self.scheduler.now
-        self._check_others_of_tap(topic, state.object_id, pose)
+        if not state.error_code:
+            self._check_others_of_tap(topic, state.object_id, pose)
 
     def _sources(self) -> tuple[str, ...]:
         """Return the topics by which the planner observes the objects of its present goal: first
@@ -184,14 +191,20 @@ class TableInvariantChecker(InvariantChecker):
         return self.told.get(topic, {}).get(name, Told())
 
     def _check_others_of_tap(self, topic: str, name: str, pose: Pose) -> None:
-        """Check that the planner withdraws its tap if it receives that another object was moved
-        since it commanded the tap."""
+        """Check that the planner withdraws its tap if it receives that another object was moved, or
+        put on the table, since it commanded the tap."""
         tap, now = self._tap, self.scheduler.now
         before = self._planned_among.get(tap, {}).get(name)
-        if before is None or topic != self._sources()[1] or self._waiting[0] not in TAPPING:
+        appeared = name in self._planned_without.get(tap, ())
+        if topic != self._sources()[1] or self._waiting[0] not in TAPPING:
             return
-        if before.distance_to(pose) <= BUMP_M or tap in self._withdrawn:
+        if not appeared and (before is None or before.distance_to(pose) <= BUMP_M):
             return
+        if tap in self._withdrawn:
+            return
+        change = "appeared"
+        if before is not None:
+            change = f"was moved by {1e3 * before.distance_to(pose):.1f} mm"
         goal = self._goal
 
         def check() -> None:
@@ -201,8 +214,7 @@ class TableInvariantChecker(InvariantChecker):
                 self.violate(
                     "tap not withdrawn",
                     f"the planner has not withdrawn tap {tap}, although it received {WITHDRAWN_S:g}"
-                    f" s ago that '{name}' was moved by {1e3 * before.distance_to(pose):.1f} mm"
-                    " after the tap was planned",
+                    f" s ago that '{name}' {change} after the tap was planned",
                 )
                 self._withdrawn.add(tap)
 
@@ -262,7 +274,17 @@ class TableInvariantChecker(InvariantChecker):
                     f"tap {tap_id} of '{tapped}' was commanded although '{name}' was observed in"
                     " motion",
                 )
-            if told.pose is None or now - told.seen > MEMORY_S - MEMORY_SLACK_S:
+            unseen = now - told.seen
+            if arranged and told.seen < since - STALE_S and unseen < MEMORY_S - MEMORY_SLACK_S:
+                self.violate(
+                    "hidden object ignored",
+                    f"tap {tap_id} was commanded although the planner has not seen '{name}' since"
+                    " the last tap or the beginning of the goal, and last saw it only"
+                    f" {unseen:.2f} s ago",
+                )
+            if now - told.received > MEMORY_S + MEMORY_SLACK_S and not told.visible:
+                self._planned_without.setdefault(tap_id, set()).add(name)
+            if told.pose is None or unseen > MEMORY_S - MEMORY_SLACK_S:
                 continue
             reference[name] = told.pose
             radius = self._table.radius

@@ -15,6 +15,7 @@ from tapping_cell.logic.other_objects import OtherObjects
 from tapping_cell.logic.poses import to_message
 from tapping_cell.messages import (
     ArrangeObjects,
+    ErrorCode,
     ObjectGoal,
     ObjectState,
     PoseStamped,
@@ -24,6 +25,7 @@ from tapping_cell.messages import (
 from tapping_cell.planning import FreeSpace
 from tapping_cell.se2 import Pose
 from tapping_cell.simulation.truth import TruthFile
+from tapping_cell.verification.causes import AT_ONCE_S
 from tapping_cell.verification.faults import ALL, Mix
 from tapping_cell.verification.table_camera import TableCamera
 from tapping_cell.verification.table_cell import HALF_LENGTH_M, HALF_WIDTH_M, PhysicalTable
@@ -205,6 +207,21 @@ class TableTrial(Trial):
             in_order=self._arranged_in_order,
             may_move=list(self._may_move),
             time_limit=self.settings.goal_time_limit,
+        )
+
+    def _is_explained(self, code: int, struck: set[str]) -> bool:
+        if code == ErrorCode.OBJECT_NOT_SEEN and not self._needed_object_removed():
+            struck = struck - {"other object removed"}
+        return super()._is_explained(code, struck)
+
+    def _needed_object_removed(self) -> bool:
+        """Return whether an object that the goal moves, or may move, was taken off the table. The
+        planner must leave out any other object after a while."""
+        since = self._goal_began - AT_ONCE_S
+        return any(
+            self.checker.others[name].removed_until > since
+            for name in (*self._asked.goals, *self._may_move)
+            if name in self.checker.others
         )
 
     # Taps of another program

@@ -12,7 +12,8 @@ Example::
 
 Contacts between objects are never planned. Other objects are represented by bounding circles;
 obstacles, such as objects without a file, are represented by their outlines
-(``ArrangementSession.avoid``).
+(``ArrangementSession.avoid``). Objects may be put on the table or taken away during an arrangement
+(``ArrangementSession.set_bodies``).
 """
 
 from tapping_cell.planning.arrangement.among import AmongOthers, bodies_among

@@ -126,13 +126,13 @@ class ArrangementSession:
         maps: AmongOthers | None = None,
         obstacles: Sequence[KeepOut] = (),
     ) -> None:
-        self._given = tuple(bodies)
+        self._given, self._obstacles = tuple(bodies), tuple(obstacles)
         self.bodies = bodies_among(bodies, obstacles)
         self._by_name = {body.name: body for body in self.bodies}
         self._maps = AmongOthers() if maps is None else maps
         self._planner = SequencePlanner(self._maps) if planner is None else planner
-        known = {} if gains is None else gains
-        self.gains = {body.name: known.get(body.name, Gains.start()) for body in bodies}
+        self._known: Mapping[str, Gains] = {} if gains is None else gains
+        self.gains = {body.name: self._known.get(body.name, Gains.start()) for body in bodies}
         self._adapt = adapt
         self._order = tuple(order)
         goals = sum(body.goal is not None for body in bodies)
@@ -169,7 +169,31 @@ class ArrangementSession:
     def avoid(self, obstacles: Sequence[KeepOut]) -> None:
         """Avoid these obstacles from now on, instead of the previous ones. The layout is checked
         again, and the next move is planned again."""
-        self.bodies = bodies_among(self._given, obstacles)
+        self._obstacles = tuple(obstacles)
+        self._plan_again()
+
+    def set_bodies(self, bodies: Sequence[Body]) -> None:
+        """Arrange these objects from now on, instead of the previous ones. The layout is checked
+        again, and the next move is planned again.
+
+        Learnt gains and numbers of taps also remain for objects that are taken out.
+        """
+        self._given = tuple(bodies)
+        names = {body.name for body in bodies}
+        for name in names:
+            self.gains.setdefault(name, self._known.get(name, Gains.start()))
+            self.taps.setdefault(name, 0)
+        self.finished &= names
+        for poses in (self._settled, self._last, self._confirmed):
+            for name in poses.keys() - names:
+                del poses[name]
+        self._waits_for = {
+            name: other for name, other in self._waits_for.items() if {name, other} <= names
+        }
+        self._plan_again()
+
+    def _plan_again(self) -> None:
+        self.bodies = bodies_among(self._given, self._obstacles)
         self._by_name = {body.name: body for body in self.bodies}
         self._checked, self.move, self._session = False, None, None
         self._excluded = self._stalled = frozenset()

@@ -18,6 +18,7 @@ from tapping_cell.logic.clock import Now
 from tapping_cell.logic.goal_handling import GoalHandling
 from tapping_cell.logic.other_objects import OtherObjects
 from tapping_cell.logic.planner import PlannerLogic
+from tapping_cell.logic.planner_settings import PlannerSettings
 from tapping_cell.logic.poses import from_message, to_message
 from tapping_cell.logic.tapper_peers import PeerLimits, TapperPeers
 from tapping_cell.messages import (
@@ -39,6 +40,8 @@ from tapping_cell.messages import (
 from tapping_cell.planning.arrangement import ArrangementSession
 from tapping_cell.se2 import Pose
 
+PATIENT = replace(FAST, observe_deadline=8.0)
+"""Settings with which the planner waits longer than an object is remembered."""
 PLACES = (Pose(-0.12, 0.03, 0.0), Pose(0.04, 0.05, 0.2), Pose(0.10, -0.12, 0.0))
 
 
@@ -69,7 +72,7 @@ def handling() -> GoalHandling:
 class Table(VirtualNode):
     """Simulated camera, arm and tapper of a table with three disks."""
 
-    def __init__(self, places: tuple[Pose, ...] = PLACES) -> None:
+    def __init__(self, places: tuple[Pose, ...] = PLACES, settings: PlannerSettings = FAST) -> None:
         cell = shipped()[0]
         self.names = [cell.object.name, *(file.name for file in files())]
         self.poses = dict(zip(self.names, places, strict=True))
@@ -94,7 +97,7 @@ class Table(VirtualNode):
         super().__init__(
             "tap_planner",
             None,
-            lambda _: (PlannerLogic(FAST), None),
+            lambda _: (PlannerLogic(settings), None),
             connect,
             "plan_state",
             cell,
@@ -372,15 +375,93 @@ def test_a_missing_object_without_a_goal_is_ignored(cell: Table) -> None:
     assert cell.end().error_code == ErrorCode.NONE
 
 
-def test_an_object_that_a_hand_hides_is_awaited_before_the_first_tap(cell: Table) -> None:
+def test_an_object_that_a_hand_hides_is_awaited_before_the_first_tap() -> None:
+    cell = Table(settings=PATIENT)
+    one, _, third = cell.names
+    cell.hidden = {third}
+    cell.run(0.3)
+    cell.send({one: moved(cell.poses[one], 0.02, 0.0)})
+    cell.run(handling().other_objects.memory - 0.8)
+    assert not cell.taps and cell.states[-1].state == PlanState.LOOKING
+    cell.hidden = set()
+    assert cell.end().error_code == ErrorCode.NONE
+
+
+def test_without_a_memory_a_hidden_object_is_not_awaited(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(handling().other_objects, "memory", 0.0)
+    cell = Table(settings=PATIENT)
     one, _, third = cell.names
     cell.hidden = {third}
     cell.run(0.3)
     cell.send({one: moved(cell.poses[one], 0.02, 0.0)})
     cell.run(1.0)
-    assert not cell.taps
-    cell.hidden = set()
+    assert cell.taps
+
+
+def test_a_planner_that_has_never_seen_an_object_also_awaits_it() -> None:
+    cell = Table(settings=PATIENT)
+    one, _, third = cell.names
+    cell.hidden = {third}
+    cell.run(0.1)
+    cell.process.kill()
+    cell.process.start()
+    cell.run(0.5)
+    cell.send({one: moved(cell.poses[one], 0.02, 0.0)})
+    cell.run(handling().other_objects.memory - 1.0)
+    assert not cell.taps and cell.states[-1].state == PlanState.LOOKING
     assert cell.end().error_code == ErrorCode.NONE
+
+
+def test_an_object_that_is_taken_away_and_put_back_is_left_out_meanwhile() -> None:
+    cell = Table(settings=PATIENT)
+    one, other, third = cell.names
+    goals = {one: moved(cell.poses[one], 0.05, 0.0), other: moved(cell.poses[other], 0.0, 0.04)}
+
+    def take_away() -> None:
+        cell.hidden, cell.on_tap = {third}, put_back
+
+    def put_back() -> None:
+        cell.hidden = set()
+
+    # The first tap moves its object by less than planned, so further taps follow.
+    answer = cell._on_command
+
+    def fall_short(command: TapCommand) -> None:
+        if command.request == TapCommand.TAP and len(cell.taps) < 3:
+            planned = from_message(command.object_pose), from_message(command.predicted_pose)
+            half = [0.5 * (before + after) for before, after in zip(*planned, strict=True)]
+            command.predicted_pose = to_message(Pose(*half))
+        answer(command)
+
+    cell._on_command = fall_short  # type: ignore[method-assign]
+    cell.on_tap = take_away
+    cell.send(goals)
+    result = cell.end()
+    assert result.error_code == ErrorCode.NONE, result.error_msg
+    assert all(cell.poses[name].distance_to(goal) < 0.001 for name, goal in goals.items())
+    assert sum(progress.taps for progress in result.objects) == result.taps == len(cell.taps)
+
+
+def test_an_object_at_its_goal_is_reported_even_if_a_new_object_blocks_the_other_goal() -> None:
+    cell = Table(settings=PATIENT)
+    one, other, third = cell.names
+    cell.hidden = {third}
+    cell.run(handling().other_objects.memory + 1.0)
+    goals = {one: moved(cell.poses[one], 0.02, 0.0), other: moved(cell.poses[other], 0.04, 0.0)}
+
+    def block() -> None:
+        if cell.taps[-1].object_id == other:
+            cell.hidden, cell.poses[third] = set(), goals[other]
+            cell.poses[other] = PLACES[1]
+
+    cell.on_tap = block
+    cell.send(goals, in_order=True)
+    result = cell.end()
+    assert result.error_code == ErrorCode.GOALS_OVERLAP, result.error_msg
+    assert [progress.state for progress in result.objects] == [
+        ObjectProgress.REACHED,
+        ObjectProgress.FAILED,
+    ]
 
 
 def test_an_object_that_is_put_on_the_table_cancels_the_tap_and_is_avoided(cell: Table) -> None:

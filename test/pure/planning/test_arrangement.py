@@ -123,6 +123,33 @@ def test_a_new_obstacle_is_avoided_and_one_on_a_goal_causes_refusal(kind: Kind) 
     assert isinstance(session.decide(seen), TapOf)
 
 
+def test_objects_are_added_and_taken_out_during_an_arrangement(kind: Kind) -> None:
+    goals = [Pose(0.15, 0.0, 0.0), Pose(-0.1, 0.12, 0.0)]
+    given = bodies_of(kind, [*goals, None], movable=False)
+    session = ArrangementSession(given[:2])
+    start = Observation(Pose(-0.15, 0.0, 0.0))
+    seen = {"o0": start, "o1": Observation(goals[1])}
+    tap = session.decide(seen)
+    assert isinstance(tap, TapOf) and tap.name == "o0" and session.finished == {"o1"}
+    assert abs(tap.strike.predicted.y) < 0.03
+    session.observe(tap, start, Observation(tap.strike.predicted))
+    gains = session.gains["o0"]
+    # It blocks the straight way; the object at its goal remains at its goal.
+    session.set_bodies(given)
+    around = session.decide({**seen, "o2": Observation(Pose(0.0, 0.0, 0.0))})
+    assert isinstance(around, TapOf) and session.finished == {"o1"}
+    assert abs(around.strike.predicted.y) > 0.01
+    # A new object on a goal is refused, but the other object is still at its goal.
+    session.set_bodies(given)
+    blocked = session.decide({**seen, "o2": Observation(Pose(0.15, 0.01, 0.0))})
+    assert isinstance(blocked, Refusal) and session.finished == {"o1"}
+    session.set_bodies(given[:2])
+    straight = session.decide(seen)
+    assert isinstance(straight, TapOf) and abs(straight.strike.predicted.y) < 0.03
+    assert session.touched == ()
+    assert session.gains["o0"] == gains and session.taps["o0"] == 1
+
+
 def test_one_object_goes_straight_to_its_goal(kind: Kind) -> None:
     goal = Pose(0.05, 0.0, 0.0)
     bodies = bodies_of(kind, [goal])
