@@ -49,8 +49,8 @@ APPEARANCE_KEYS = ("name", "marker", "outline", "calibration")
 """Fields of an object file that do not affect how the object slides."""
 
 LONGEST_MEMORY_S = 5.0
-"""Maximum time for which an arrangement waits for an object that is not seen, s. It is less than the default of
-``observe_deadline``, after which the arrangement would end."""
+"""Maximum time for which an arrangement waits for an object that is not seen, s. It is less than
+the default of ``observe_deadline``, after which the arrangement would end."""
 
 
 @dataclass(frozen=True, slots=True)
