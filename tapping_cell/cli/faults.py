@@ -50,6 +50,7 @@ from tapping_cell.cli.fault_trials import (
     run_taps,
 )
 from tapping_cell.cli.graph import SIMULATED, own_domain
+from tapping_cell.cli.signals import end_on_signals
 from tapping_cell.simulation.fault_layer import FaultKind
 from tapping_cell.verification.campaign import GOALS_A_RUN
 from tapping_cell.verification.faults import ALL, Mix
@@ -186,6 +187,7 @@ def run(arguments: argparse.Namespace) -> int:
     if refusal := _refusal(arguments):
         print_error(refusal)
         return 2
+    end_on_signals()
     if arguments.replay is not None:
         return goal_faults.replay(arguments.replay, arguments.goals or GOALS_A_RUN, _mix(arguments))
     if arguments.mutants:

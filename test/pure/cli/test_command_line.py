@@ -60,6 +60,7 @@ def test_a_closed_output_pipe_ends_a_verb_silently(unbuffered: str) -> None:
     assert (ended.returncode, ended.stderr) == (128 + signal.SIGPIPE, b"")
 
 
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=["SIGINT", "SIGTERM"])
 @pytest.mark.parametrize(
     "options",
     [
@@ -69,7 +70,9 @@ def test_a_closed_output_pipe_ends_a_verb_silently(unbuffered: str) -> None:
     ],
     ids=lambda options: options[0],
 )
-def test_ctrl_c_ends_a_campaign_and_its_processes(options: tuple[str, ...]) -> None:
+def test_a_signal_ends_a_campaign_and_its_processes(
+    options: tuple[str, ...], number: signal.Signals
+) -> None:
     process = subprocess.Popen(
         [sys.executable, "-m", "tapping_cell", "faults", *options],
         start_new_session=True,
@@ -84,8 +87,9 @@ def test_ctrl_c_ends_a_campaign_and_its_processes(options: tuple[str, ...]) -> N
             time.sleep(0.05)
         started = children.read_text().split()
         time.sleep(1.0)
-        os.killpg(process.pid, signal.SIGINT)
-        _, printed = process.communicate(timeout=20)
+        # Ctrl-C is sent to every process of the terminal, a termination signal to one process.
+        (os.killpg if number == signal.SIGINT else os.kill)(process.pid, number)
+        _, printed = process.communicate(timeout=60)
     finally:
         if process.poll() is None:
             os.killpg(process.pid, signal.SIGKILL)
