@@ -578,10 +578,9 @@ class PlannerLogic:
         try:
             message = PoseStamped(pose=to_message(Pose(*map(float, kept["goal"]))))
             position, angle = (float(value) for value in kept["tolerance"])
-            # After the goal was stored, only the time of the file was updated. The steady clock
-            # starts anew when the computer starts.
+            # After the goal was stored, only the time of the file was updated. The difference is
+            # negative after a start of the computer, because the steady clock then starts anew.
             passed = now.steady - float(kept.get("kept_at", now.steady))
-            passed = passed if passed >= 0 else event.kept_goal_age
             limit = max(float(kept["time_left"]) - max(passed, event.kept_goal_age), 1.0)
             most, ask = int(kept["max_taps"]), bool(kept["ask"])
             name = str(kept["object_id"])

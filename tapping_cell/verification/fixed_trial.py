@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from functools import cache
-from typing import Any
 
 import numpy as np
 
@@ -14,10 +13,7 @@ from tapping_cell.configuration.files import shared_folder
 from tapping_cell.hardware.tapper import TapperDriver, TapperSettings
 from tapping_cell.hardware.tapper_boards import TapperBoards
 from tapping_cell.hardware.tapper_protocol import Mode
-from tapping_cell.logic.clock import Now
 from tapping_cell.logic.fixed_goal_handling import FixedGoalHandling
-from tapping_cell.logic.goal_handling import GoalHandling
-from tapping_cell.logic.other_objects import OtherObjects
 from tapping_cell.logic.planner import PlannerLogic
 from tapping_cell.logic.poses import to_message
 from tapping_cell.logic.tapper import TapperLogic, TapperOptions
@@ -96,6 +92,7 @@ class FixedTrial(Trial):
     devices = ("tapper_trigger",)
     nodes = ("tap_planner", "tapper_trigger")
     arm_node = "tapper_trigger"
+    goal_handling = _GoalHandling
     makers = FIXED_MAKERS
     at_a_shot = FIXED_AT_A_SHOT
     of_a_shot = FIXED_OF_A_SHOT
@@ -134,21 +131,11 @@ class FixedTrial(Trial):
     def _busy_lines(self) -> tuple[SerialLine, ...]:
         return tuple(BusyLine(self.scheduler, line.layer, "tapper") for line in self._lines())
 
+    def _maps(self) -> None:
+        """Return None: the planner of fixed tappers uses no maps."""
+
     def _programs(self, *lines: SerialLine) -> dict[str, Program]:
         cell = self.cell
-
-        def planner_connect(_: Any, __: float, now: Now) -> GoalHandling:
-            return _GoalHandling(
-                cell,
-                "",
-                OtherObjects((), 5.0, 0.002),
-                now,
-                adapt=True,
-                probe=False,
-                keep_for="",
-                time_limit=self.settings.goal_time_limit,
-                solve_in_background=False,
-            )
 
         def tapper() -> tuple[TapperLogic, TapperBoards]:
             draw = np.random.default_rng([self.seed, 4, round(1e6 * self.scheduler.now)])
@@ -167,7 +154,7 @@ class FixedTrial(Trial):
         return {
             "tap_planner": Program(
                 lambda: (PlannerLogic(self.settings), None),
-                planner_connect,
+                self._connect_planner,
                 cell,
                 SUBSCRIPTIONS["tap_planner"],
                 SERVES["tap_planner"],

@@ -128,7 +128,7 @@ class StopConfirmation:
             ),
             default=math.inf,
         )
-        if (self.needs_confirmation(node) or silent) and not (waited <= CONFIRM_S + ROUNDING_S):
+        if (self.needs_confirmation(node) or silent) and waited > CONFIRM_S + ROUNDING_S:
             why = (
                 "whose publisher had vanished while it asserted the stop"
                 if self.needs_confirmation(node)

@@ -9,9 +9,7 @@ from typing import Any
 import numpy as np
 
 from tapping_cell.configuration.objects import ObjectFile
-from tapping_cell.logic.clock import Now
 from tapping_cell.logic.goal_handling import GoalHandling
-from tapping_cell.logic.other_objects import OtherObjects
 from tapping_cell.logic.poses import to_message
 from tapping_cell.messages import (
     ArrangeObjects,
@@ -31,13 +29,10 @@ from tapping_cell.verification.table_camera import TableCamera
 from tapping_cell.verification.table_cell import HALF_LENGTH_M, HALF_WIDTH_M, PhysicalTable
 from tapping_cell.verification.table_faults import TABLE_AT_A_SHOT, TABLE_CAUSES, TABLE_MAKERS
 from tapping_cell.verification.table_invariants import Asked, TableInvariantChecker
-from tapping_cell.verification.trial import CAMERA_SIGMA, Trial, table_maps
+from tapping_cell.verification.trial import CAMERA_SIGMA, Trial
 
 SHARE_OF_TABLES = 0.1
 """Fraction of the runs that have several objects."""
-MEMORY_S, MOVED_M = 5.0, 0.002
-"""Settings of the planner for the other objects: time after which an object that is not seen counts
-as removed, s, and displacement that counts as motion, m."""
 NAMES = ("second disk", "third disk")
 OWN_GOAL, OTHER_GOAL = 0.35, 0.3
 """Fractions of the goals that are for the cell's own object, and for another one. The other goals
@@ -72,6 +67,7 @@ class TableTrial(Trial):
     checker: TableInvariantChecker
     camera: TableCamera
 
+    goal_handling = _GoalHandling
     makers = TABLE_MAKERS
     at_a_shot = TABLE_AT_A_SHOT
     has_set_up, has_confirmation = False, False
@@ -89,11 +85,11 @@ class TableTrial(Trial):
         self._may_move: tuple[str, ...] = ()
         super().__init__(seed, trace, faults=faults, mix=mix)
 
-    def _files(self) -> tuple[ObjectFile, ...]:
+    def _other_files(self) -> tuple[ObjectFile, ...]:
         return tuple(replace(self.cell.object, name=name) for name in self._names)
 
     def _make_physical(self, truth: TruthFile, seed: int) -> PhysicalTable:
-        return PhysicalTable(self.scheduler, self.cell, self._files(), truth, seed)
+        return PhysicalTable(self.scheduler, self.cell, self._other_files(), truth, seed)
 
     def _make_checker(self) -> TableInvariantChecker:
         checker = TableInvariantChecker(
@@ -115,20 +111,6 @@ class TableTrial(Trial):
             CAMERA_SIGMA,
             self._names,
             self._observe_other,
-        )
-
-    def _make_goals(self, now: Now) -> GoalHandling:
-        return _GoalHandling(
-            self.cell,
-            "",
-            OtherObjects(self._files(), MEMORY_S, MOVED_M),
-            now,
-            adapt=True,
-            probe=False,
-            keep_for="",
-            time_limit=self.settings.goal_time_limit,
-            maps=table_maps(),
-            solve_in_background=False,
         )
 
     def _observe_other(self, name: str, time: float) -> Pose | None:

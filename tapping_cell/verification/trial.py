@@ -14,6 +14,7 @@ import numpy as np
 from tapping_cell.configuration.arm_assembly import make_arm_driver
 from tapping_cell.configuration.cell import Cell, load_cell
 from tapping_cell.configuration.files import shared_folder
+from tapping_cell.configuration.objects import ObjectFile
 from tapping_cell.configuration.schema import load
 from tapping_cell.hardware.arm import ArmDriver
 from tapping_cell.hardware.scara import Joints
@@ -21,7 +22,7 @@ from tapping_cell.hardware.tapper import TapperDriver, TapperSettings
 from tapping_cell.hardware.tapper_protocol import Mode
 from tapping_cell.logic import arm_jobs
 from tapping_cell.logic.arm import ArmLogic, ArmOptions
-from tapping_cell.logic.clock import NANOSECONDS, Now, to_stamp
+from tapping_cell.logic.clock import NANOSECONDS, Now, to_nanoseconds, to_stamp
 from tapping_cell.logic.goal_handling import GoalHandling
 from tapping_cell.logic.host import Logic
 from tapping_cell.logic.other_objects import OtherObjects
@@ -221,6 +222,9 @@ CANCEL_S = 0.5
 """Maximum time from when the planner's process handles a cancellation until the goal ends, s."""
 HOME_AFTER_S = 0.5
 """Time from the request to clear the arm's stop to the request to home the arm, s."""
+MEMORY_S, MOVED_M = 5.0, 0.002
+"""Settings of the planner for the other objects: time after which an object that is not seen counts
+as removed, s, and displacement that counts as motion, m."""
 RECOVERY_S = 90.0
 """Maximum time for a person to recover the cell before the next goal."""
 
@@ -283,6 +287,7 @@ class Trial:
     at_a_shot: tuple[str, ...] = AT_A_SHOT
     of_a_shot: tuple[str, ...] = OF_A_SHOT
     moments: tuple[str, ...] = MOMENTS
+    goal_handling: type[GoalHandling] = GoalHandling
     has_set_up, has_confirmation = True, True
     """Whether some runs are in set-up mode, or ask a person before every tap."""
     set_up_makers: Mapping[str, Maker] = SET_UP_MAKERS
@@ -399,8 +404,8 @@ class Trial:
         self._goal_began = 0.0
         """Time at which the last goal was sent."""
         self._enabler: EnablingPerson | None = None
-        self._reports_of_switch: dict[tuple[int, int], float] = {}
-        """In set-up mode, the time at which the tapper's node published each stamp."""
+        self._reports_of_switch: dict[int, float] = {}
+        """In set-up mode, the time at which the tapper's node published each stamp (ns)."""
         if self.set_up:
             self._bring_enabler()
         if self.asks:
@@ -523,20 +528,27 @@ class Trial:
             CAMERA_SIGMA,
         )
 
-    def _make_goals(self, now: Now) -> GoalHandling:
+    def _connect_planner(self, _: Any, __: float, now: Now) -> GoalHandling:
         """Return the goal handling of a planner that configures itself now."""
-        return GoalHandling(
+        return self.goal_handling(
             self.cell,
             "",
-            OtherObjects((), 5.0, 0.002),
+            OtherObjects(self._other_files(), MEMORY_S, MOVED_M),
             now,
             adapt=True,
             probe=False,
             keep_for="",
             time_limit=self.settings.goal_time_limit,
-            maps=table_maps(),
+            maps=self._maps(),
             solve_in_background=False,
         )
+
+    def _other_files(self) -> tuple[ObjectFile, ...]:
+        """Return the files of the objects besides the cell's own."""
+        return ()
+
+    def _maps(self) -> TableMaps | None:
+        return table_maps()
 
     def _request(self, index: int, message: PoseStamped) -> tuple[str, Any]:
         """Return the action and the request of a goal. ``index``: number of the request for the
@@ -582,9 +594,6 @@ class Trial:
         arm_line, tapper_line = lines
         cell, unseen = self.cell, COVERED_S if self.arm_covers else CLEAR_VIEW_S
 
-        def planner_connect(_: Any, __: float, now: Now) -> GoalHandling:
-            return self._make_goals(now)
-
         def arm_connect(driver: ArmDriver, patience: float, _: Now) -> arm_jobs.Reading:
             driver.connect(timeout=patience)
             return arm_jobs.reading_of(driver)
@@ -618,7 +627,7 @@ class Trial:
         programs: dict[
             str, tuple[Callable[[], tuple[Logic, Any]], Callable[..., Any], tuple[SerialLine, ...]]
         ] = {
-            "tap_planner": (lambda: (PlannerLogic(self.settings), None), planner_connect, ()),
+            "tap_planner": (lambda: (PlannerLogic(self.settings), None), self._connect_planner, ()),
             "scara_arm": (arm, arm_connect, (arm_line,)),
             "tapper_trigger": (
                 tapper,
@@ -801,18 +810,20 @@ class Trial:
     def _release_before_a_tap(self) -> None:
         """In set-up mode, let the person sometimes release the enabling device before another
         program commands a tap and perhaps a trajectory."""
-        share = SHARE_OF_UNENABLED_TAPS if self._enabler is not None and self._faulty else 0.0
-        if share and self._mode_rng.random() < share:
-            self._note("PERSON releases the enabling device")
-            self.note_kind("enabling device released")
-            self.release_enabling((KEY, SWITCH), False, 3.0)
-            self.scheduler.run(self.scheduler.now + 0.7)
-            if self._mode_rng.random() < 0.5:
-                point = JointTrajectoryPoint(positions=[0.5, 1.2, -0.02, 0.0])
-                message = JointTrajectory(joint_names=list(self.joint_names), points=[point])
-                self.network.publish("program", "joint_trajectory", message)
-                self.note_kind("foreign trajectory")
-                self.scheduler.run(self.scheduler.now + 0.1)
+        if self._enabler is None or not self._faulty:
+            return
+        if self._mode_rng.random() >= SHARE_OF_UNENABLED_TAPS:
+            return
+        self._note("PERSON releases the enabling device")
+        self.note_kind("enabling device released")
+        self.release_enabling((KEY, SWITCH), False, 3.0)
+        self.scheduler.run(self.scheduler.now + 0.7)
+        if self._mode_rng.random() < 0.5:
+            point = JointTrajectoryPoint(positions=[0.5, 1.2, -0.02, 0.0])
+            message = JointTrajectory(joint_names=list(self.joint_names), points=[point])
+            self.network.publish("program", "joint_trajectory", message)
+            self.note_kind("foreign trajectory")
+            self.scheduler.run(self.scheduler.now + 0.1)
 
     def _publish_conflicting(self, command: TapCommand, conflicting: TapCommand) -> None:
         """Publish two different commands with the same id: one is delivered only to the arm, the
@@ -1326,7 +1337,8 @@ class Trial:
                 self._note(text)
         self.checker.on_publish(node, topic, message)
         if self.set_up and (node, topic) == ("tapper_trigger", "tapper_state"):
-            self._reports_of_switch.setdefault(_key(message.header.stamp), self.scheduler.now)
+            stamp = to_nanoseconds(message.header.stamp)
+            self._reports_of_switch.setdefault(stamp, self.scheduler.now)
         if topic == "~/stop_state":
             self.confirmation.on_stop_state(node, message.stopped)
         if topic == "~/stop_state" and not message.stopped and node in self._asked_to_clear:
@@ -1453,7 +1465,7 @@ class Trial:
         now = self.scheduler.now
         if not self._arm_knows_clock():
             return now
-        return self._reports_of_switch.get(_key(stamp), now) + CLOCK_ERROR_S
+        return self._reports_of_switch.get(to_nanoseconds(stamp), now) + CLOCK_ERROR_S
 
     def _arm_knows_clock(self) -> bool:
         return self.scheduler.now - self.processes["scara_arm"].started_at >= CLOCK_KNOWN_S
@@ -1490,10 +1502,6 @@ class Trial:
     def _note(self, entry: str) -> None:
         if self._tracing:
             self.report.trace.append(f"{self.scheduler.now:12.6f} {entry}")
-
-
-def _key(stamp: Time) -> tuple[int, int]:
-    return stamp.sec, stamp.nanosec
 
 
 def _short(message: Any) -> str:
