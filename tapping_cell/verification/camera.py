@@ -64,6 +64,8 @@ class Camera:
         self.faults = CameraFaults()
         self.frozen_until = -math.inf
         self.alive = True
+        self.exposed: dict[int, float] = {}
+        """Time of the exposure of each frame, by its stamp in ns."""
         self._scheduler = scheduler
         self._rng = rng
         self._true_pose = observe
@@ -120,6 +122,7 @@ class Camera:
 
     def _observe(self, true: Pose | None, now: float) -> ObjectState:
         state = self._state(self._ros_now())
+        self.exposed[to_nanoseconds(state.header.stamp)] = now
         if true is not None:
             off = np.array(self.faults.wrong_by) if now < self.faults.wrong_until else np.zeros(3)
             self._measure(state, self._track, np.array(true) + off, now)

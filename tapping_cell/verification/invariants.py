@@ -16,6 +16,7 @@ from tapping_cell.messages import (
     ConfirmTap,
     ErrorCode,
     HoldStill,
+    ObjectState,
     PlanState,
     PositionObject,
     TapCommand,
@@ -105,6 +106,12 @@ STOP_MOTION_S = 1.5
 to the controller and the braking."""
 
 
+LATE_END_S = 2.0
+"""Maximum time from the time limit of a goal until the planner ends the goal, s. If the planner has
+resumed the goal, or its process was frozen, after the time limit, the time begins then."""
+KNOWN_DELAYS_S = 10.0
+"""Time for which the planner uses the delay of an image to estimate the difference between the
+camera's clock and its own, s."""
 RESUMED_S = 21.0
 """Maximum time from a crash of the planner until it resumes its goal, s: its own limit of 15 s, the
 start of its process and a freeze."""
@@ -208,6 +215,11 @@ class InvariantChecker:
     future, and the offset of the process's clock at that time, s."""
     seen_moving: bool = False
     """Whether the object moved in the last observation that the planner's process received."""
+    exposed: Callable[[int], float] = lambda stamp: -math.inf
+    """Return the time of the exposure of the image with this stamp (ns)."""
+    goal_time_limit: float = math.inf
+    """Time limit of the goals, s."""
+    planner_frozen_until: Callable[[], float] = lambda: -math.inf
     deadlines: dict[int, float] = field(default_factory=dict)
     """Time limit of each published state in which the planner waits for arm or tapper, s."""
     unhomed_since: float = math.inf
@@ -274,6 +286,16 @@ class InvariantChecker:
     _told_to_stop: bool = False
     """Whether the planner's process has received, during its present goal, that the emergency stop
     is pressed or that arm or tapper is stopped."""
+    _image: float = -math.inf
+    """Exposure of the image of the object that the planner's process received last; -inf if this
+    image does not show the object."""
+    _delays: deque[tuple[float, float]] = field(default_factory=deque)
+    """Times at which the planner's process received images in the last ``KNOWN_DELAYS_S``, and the
+    times from the exposure to the receipt, s."""
+    _began_at: dict[int, float] = field(default_factory=dict)
+    """For each goal, the time at which a planner first began it."""
+    _goal_begun_at: float = -math.inf
+    """Time at which the planner began, or resumed, its present goal."""
     _waiting: tuple[int, float, float, float] = (PlanState.IDLE, 0.0, 0.0, 0.0)
     """State in the planner's last message, and the goal (x, y, z) of that message."""
 
@@ -703,6 +725,38 @@ class InvariantChecker:
                 "planned while it moved",
                 f"tap {tap_id} was commanded although the object was observed in motion",
             )
+        self._check_image(tap_id, self._image)
+
+    def _check_image(self, tap_id: int, exposed: float) -> None:
+        """Check that the planner's last image of the tapped object was exposed after the last tap
+        of the goal. The planner cannot know the smallest delay of its images."""
+        shot = self._last_shot()
+        unknown = min((delay for _, delay in self._delays), default=math.inf)
+        if exposed < shot - unknown - ROUNDING_S:
+            self.violate(
+                "planned on an old image",
+                f"tap {tap_id} was commanded, but the last image of the object that the planner"
+                f" received was exposed {shot - exposed:.3f} s before the last shot of the goal"
+                f" (limit {unknown:.3f} s)",
+            )
+
+    def _last_shot(self) -> float:
+        """Return the time of the last release for the planner's present goal."""
+        taps = self._taps.get(self._goal, []) if self._goal is not None else []
+        return max(
+            (one.time for one in self.physical.releases if one.shot in taps), default=-math.inf
+        )
+
+    def on_image_received_by_planner(self, state: ObjectState) -> None:
+        """Process a state of the cell's own object that the planner's process received."""
+        now = self.scheduler.now
+        exposed = self.exposed(to_nanoseconds(state.header.stamp))
+        self._image = exposed if state.visible else -math.inf
+        self._delays.append((now, now - exposed))
+        while self._delays[0][0] < now - KNOWN_DELAYS_S:
+            self._delays.popleft()
+        if state.visible:
+            self.seen_moving = not state.at_rest
 
     def _check_reference(self, message: ArmState) -> None:
         """Check that the arm's node does not report the arm as homed when the arm has no valid
@@ -796,6 +850,7 @@ class InvariantChecker:
         goal."""
         self.planner_gone_since = self.scheduler.now
         self._tap_to_withdraw = 0
+        self._delays.clear()
         if self.confirmation is not None:
             self.confirmation.on_planner_ended()
         goal, self._goal = self._goal, None
@@ -871,6 +926,8 @@ class InvariantChecker:
                 )
         if self._crashed is None or self._crashed[0] != self._goal:
             self._taps.pop(self._goal, None)  # a goal message that was delivered twice
+            self._began_at[self._goal] = self.scheduler.now
+        self._goal_begun_at = self.scheduler.now
         self._crashed = None
         self._begun.add(self._goal)
 
@@ -974,9 +1031,25 @@ class InvariantChecker:
             self._goal = None
         elif self._goal is None or before[1:] != after[1:]:
             self._begin_goal(message)
+        self._check_time_limit()
         if message.state == PlanState.REACHED and before[0] != PlanState.REACHED:
             tolerance = message.position_tolerance, message.angle_tolerance
             self._check_claim("the planner reports", from_message(message.goal.pose), tolerance)
+
+    def _check_time_limit(self) -> None:
+        """Check that the present goal has not exceeded its time limit, also if the planner crashed
+        since and resumed the goal."""
+        if self._goal is None:
+            return
+        now, began = self.scheduler.now, self._began_at[self._goal]
+        end = max(began + self.goal_time_limit, self._goal_begun_at, self.planner_frozen_until())
+        if now > end + LATE_END_S:
+            self.violate(
+                "exceeds its time limit",
+                f"the planner has worked on a goal for {now - began:.1f} s, but the goal's time"
+                f" limit is {self.goal_time_limit:.1f} s",
+            )
+            self._began_at[self._goal] = now
 
     def _check_withdrawn(self) -> None:
         """Check that no tap of the goal that has just ended can still be fired."""

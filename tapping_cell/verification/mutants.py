@@ -723,6 +723,20 @@ MUTANTS: tuple[Mutant, ...] = (
         "return len(self.records)",
         kinds=("kill",),
     ),
+    Mutant(
+        "plans on an image that was taken before the last tap",
+        "tapping_cell.logic.cell_monitor",
+        "            and self.observed_at(now) > after + QUICKEST_IMAGE_S\n",
+        "",
+        kinds=("camera",),
+    ),
+    Mutant(
+        "gives a resumed goal its whole time limit again",
+        "tapping_cell.logic.planner",
+        'limit = max(float(kept["time_left"]) - max(passed, event.kept_goal_age), 1.0)',
+        "limit = self._settings.goal_time_limit",
+        kinds=("kill",),
+    ),
 )
 
 

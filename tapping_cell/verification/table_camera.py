@@ -40,8 +40,6 @@ class TableCamera(Camera):
         others: Sequence[str],
         observe_other: Callable[[str, float], Pose | None],
     ) -> None:
-        self.exposed: dict[int, float] = {}
-        """Time of the exposure of each frame, by its stamp in ns."""
         self.others_hidden_until = dict.fromkeys(others, -math.inf)
         self._network = network
         self._others = tuple(others)
@@ -77,7 +75,6 @@ class TableCamera(Camera):
     def _observe(self, true: Pose | None, now: float) -> ObjectState:
         state = super()._observe(true, now)
         stamp = to_nanoseconds(state.header.stamp)
-        self.exposed[stamp] = now
         awaited = self._plan.state == PlanState.LOOKING
         busy = self._plan.state not in (PlanState.IDLE, PlanState.CANCELED)
         always = [

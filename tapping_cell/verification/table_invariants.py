@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 
@@ -95,9 +95,6 @@ class TableInvariantChecker(InvariantChecker):
     own object."""
     asked: dict[int, Asked] = field(default_factory=dict)
     """Requests by their index, except goals of the cell's own object."""
-    exposed: Callable[[int], float] = lambda stamp: -math.inf
-    """Return the time of the exposure of the image with this stamp (ns)."""
-    planner_frozen_until: Callable[[], float] = lambda: -math.inf
     told: dict[str, dict[str, Told]] = field(default_factory=dict)
     """What the planner's process has received on each topic, by the name of the object."""
     _planned_among: dict[int, dict[str, Pose]] = field(default_factory=dict)
@@ -117,7 +114,6 @@ class TableInvariantChecker(InvariantChecker):
     """Object of the last tap that the arm has served; empty for the cell's own object."""
     _begun_by_arm: int = 0
     """Id of the last tap that the arm has begun to serve."""
-    _goal_begun_at: float = -math.inf
 
     @property
     def _table(self) -> PhysicalTable:
@@ -254,6 +250,7 @@ class TableInvariantChecker(InvariantChecker):
                 "planned while it moved",
                 f"tap {tap_id} was commanded although '{tapped}' was observed in motion",
             )
+        self._check_image(tap_id, known[tapped].seen)
         now, tip = self.scheduler.now, from_message(command.strike_pose)
         predicted = from_message(command.predicted_pose)
         reference = self._planned_among.setdefault(tap_id, {})
@@ -300,13 +297,6 @@ class TableInvariantChecker(InvariantChecker):
                     f"after tap {tap_id}, '{tapped}' would overlap '{name}' as the planner had last"
                     " observed it",
                 )
-
-    def _last_shot(self) -> float:
-        """Return the time of the last release for the planner's present goal."""
-        taps = self._taps.get(self._goal, []) if self._goal is not None else []
-        return max(
-            (one.time for one in self.physical.releases if one.shot in taps), default=-math.inf
-        )
 
     # Releases
 
@@ -374,7 +364,6 @@ class TableInvariantChecker(InvariantChecker):
         asked = self.asked.get(self._goal) if self._goal is not None else None
         if asked is not None:
             return  # the present object of an arrangement changes
-        self._goal_begun_at = self.scheduler.now
         super(TableInvariantChecker, self)._begin_goal(message)
         assert self._goal is not None
         begun = self.asked.get(self._goal)

@@ -96,8 +96,6 @@ class TableTrial(Trial):
             self.scheduler, self.physical, self.clocks["tapper_trigger"]
         )
         checker.add_objects(self._names)
-        checker.exposed = lambda stamp: self.camera.exposed.get(stamp, -math.inf)
-        checker.planner_frozen_until = lambda: self.processes["tap_planner"].frozen_until
         return checker
 
     def _make_camera(self) -> TableCamera:

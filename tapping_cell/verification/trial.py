@@ -394,6 +394,8 @@ class Trial:
             arm = self.processes["scara_arm"]
             self.checker.arm_runs_since = lambda: arm.runs_since
         self.checker.inactive_since = lambda name: self.processes[name].inactive_since
+        self.checker.planner_frozen_until = lambda: self.processes["tap_planner"].frozen_until
+        self.checker.goal_time_limit = self.settings.goal_time_limit
         for process in self.processes.values():
             process.on_handled = self._on_handled
             process.on_asked = self._on_asked
@@ -401,6 +403,7 @@ class Trial:
             process.on_log = self._on_log
         self._seconds: list[Process] = []
         self.camera = self._make_camera()
+        self.checker.exposed = lambda stamp: self.camera.exposed.get(stamp, -math.inf)
         self._goal_began = 0.0
         """Time at which the last goal was sent."""
         self._enabler: EnablingPerson | None = None
@@ -1423,8 +1426,8 @@ class Trial:
                 self.checker.motion_seen_by_tapper = not message.at_rest
         if process == "tap_planner" and topic in ("arm_state", "tapper_state"):
             self.checker.on_state_received_by_planner(message)
-        if process == "tap_planner" and topic == "object_state" and message.visible:
-            self.checker.seen_moving = not message.at_rest
+        if process == "tap_planner" and topic == "object_state":
+            self.checker.on_image_received_by_planner(message)
         if process == "scara_arm" and topic == "tapper_state":
             if message.state in CHARGED:
                 self.checker.charge_received = now
