@@ -28,9 +28,10 @@ def partial_reports(count: int) -> Iterator[list[dict[str, Any]]]:
 def lines(report: list[dict[str, Any]]) -> list[str]:
     """Return one line per mutant: its number of goals and the violated invariant."""
     caught = sum(bool(result["caught by"]) for result in report)
+    width = max(len(result["name"]) for result in report)
     return [
         f"{caught} of {len(report)} mutants caught ({len(ALL_MUTANTS)} in all), first seed {SEED}"
     ] + [
-        f"{result['goals']:>5} goals  {result['name']:<58} {result['caught by'] or 'SURVIVED'}"
+        f"{result['goals']:>5} goals  {result['name']:<{width}} {result['caught by'] or 'SURVIVED'}"
         for result in report
     ]

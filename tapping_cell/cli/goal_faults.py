@@ -21,7 +21,6 @@ from tapping_cell.verification.table_faults import TABLE_MAKERS
 
 TRACE_LINES = 60
 """Number of printed lines of a violation's trace; ``--replay`` prints the whole trace."""
-NAME_WIDTH = 52
 GOALS_IN_A_STEP = 100
 """Number of goals between two checks of whether a mutant was detected."""
 
@@ -64,7 +63,7 @@ def run_goals(goals: int, seed: int, jobs: int, as_json: bool, mix: Mix = ALL) -
             raise
     wall = time.monotonic() - began
     if as_json:
-        print(json.dumps(_as_json(summary, seed, wall), indent=2))
+        print(json.dumps(as_json_object(summary, seed, wall), indent=2))
     else:
         _print(summary, wall, mix)
     return 1 if summary.violations else 0
@@ -87,8 +86,9 @@ def run_mutants(goals: int, seed: int, jobs: int, names: Sequence[str], as_json:
         print_error(f"no such mutants: {'; '.join(unknown)}")
         return 2
     chosen = [mutant for mutant in ALL_MUTANTS if not names or mutant.name in names]
+    width = max(len(mutant.name) for mutant in chosen)
     if not as_json:
-        print(f"{'defect':<{NAME_WIDTH}} {'finding':<8} {'goals':>6}  {'caught by':<24} faults")
+        print(f"{'defect':<{width}} {'finding':<8} {'goals':>6}  {'caught by':<24} faults")
     results: list[dict[str, object]] = []
     for mutant in chosen:
         caught = hunt(mutant, goals, seed, jobs)
@@ -97,7 +97,7 @@ def run_mutants(goals: int, seed: int, jobs: int, names: Sequence[str], as_json:
             found = caught["caught by"] or "SURVIVED"
             kinds = ", ".join(mutant.kinds) or "all"
             row = f"{mutant.finding or '-':<8} {caught['goals']:>6}  {found:<24} {kinds}"
-            print(f"{mutant.name:<{NAME_WIDTH}} {row}", flush=True)
+            print(f"{mutant.name:<{width}} {row}", flush=True)
     survived = [result for result in results if not result["caught by"]]
     if as_json:
         print(json.dumps(results, indent=2))
@@ -145,7 +145,8 @@ def hunt(mutant: Mutant, goals: int, seed: int, jobs: int) -> dict[str, object]:
     }
 
 
-def _as_json(summary: Summary, seed: int, wall: float) -> dict[str, object]:
+def as_json_object(summary: Summary, seed: int, wall: float) -> dict[str, object]:
+    """Return the results of a campaign, which took ``wall`` s, for a JSON file."""
     return {
         "goals": summary.goals,
         "taps": summary.taps,
