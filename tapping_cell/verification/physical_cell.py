@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -94,8 +95,10 @@ class PhysicalCell:
         return None if self._hidden(pose, time) else pose
 
     def energy_for(self, speed: float) -> float:
-        """Return the energy in J for a striker speed in m/s, from the tapper's curve."""
-        return self._curve.energy_for(speed)
+        """Return the energy in J for a striker speed in m/s, from the tapper's curve; inf if the
+        curve does not include this speed."""
+        possible = self._curve.slowest <= speed <= self._curve.fastest
+        return self._curve.energy_for(speed) if possible else math.inf
 
     def flight(self, speed: float) -> float:
         """Return the time in s in which the striker covers its stroke at this speed (m/s)."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import traceback
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
@@ -492,7 +493,7 @@ class Trial:
         last = self.checker.commands.get(max(self.checker.commands, default=0))
         if self._enabler is None or last is None or SWITCH in self._enabler.held:
             return
-        if self.physical.energy_for(last.striker_speed) > SET_UP_ENERGY_J:
+        if SET_UP_ENERGY_J < self.physical.energy_for(last.striker_speed) < math.inf:
             struck.add(KEY_ONLY)
 
     def release_enabling(self, devices: tuple[str, ...], silent: bool, away: float) -> None:
@@ -658,6 +659,9 @@ class Trial:
                     break
         except HangError as hang:
             self.checker.violate("hang", str(hang))
+        except Exception as error:  # one run must not end a campaign
+            self._note(traceback.format_exc())
+            self.checker.violate("simulator defect", f"{type(error).__name__}: {error}")
         self.checker.at_the_end()
         for process in self.processes.values():
             for defect in process.defects:
