@@ -9,6 +9,7 @@ import pytest
 
 from tapping_cell.verification.campaign import run_trial
 from tapping_cell.verification.scheduler import Fiber, HangError, Killed, Scheduler
+from tapping_cell.verification.trial import Trial
 
 RUNS = 30
 GOALS = 10
@@ -66,3 +67,25 @@ def test_nothing_unsafe_happens_under_random_faults(seed: int) -> None:
     report = run_trial(1000 + seed, GOALS)
     assert report.violations == []
     assert len(report.outcomes) == GOALS
+
+
+def test_an_error_of_the_simulator_is_a_violation_of_its_run(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A campaign goes on, and the run can be replayed by its seed."""
+
+    def fail(self: Trial, number: int) -> None:
+        raise ZeroDivisionError(f"goal {number}")
+
+    monkeypatch.setattr(Trial, "next_goal", fail)
+    report = Trial(seed=21, trace=True, faults=False).run(2)
+    (violation,) = report.violations
+    assert violation.name == "simulator defect"
+    assert violation.sentence == "ZeroDivisionError: goal 0"
+    assert "Traceback" in report.trace[-1]
+
+
+@pytest.mark.parametrize("speed", [0.0, -1.0, 1000.0, math.nan, math.inf])
+def test_an_impossible_striker_speed_has_no_energy(speed: float) -> None:
+    """Another program may command such a tap, which the tapper refuses."""
+    assert Trial(seed=21, faults=False).physical.energy_for(speed) == math.inf
