@@ -60,7 +60,7 @@ class Change(Enum):
 
     TAPPED_TO_GOAL = "tapped to its goal"
     TAPPED_AWAY = "tapped out of the way"
-    LEFT = "another object is tapped"
+    LEFT = "not at its goal, and another object is tapped"
     SEEN_AT_GOAL = "seen at its goal"
     GIVEN_UP = "arrangement ended without it"
 
@@ -69,8 +69,8 @@ P = Progress
 OPEN = (P.WAITING, P.ACTIVE, P.MAKING_WAY, P.REACHED)
 PROGRESS_TABLE = table(
     [
-        # An object can leave its goal again, because another object touched it or because it must
-        # make way for another object.
+        # An object can leave its goal again, because another object or a person touched it or
+        # because it must make way for another object.
         (OPEN, Change.TAPPED_TO_GOAL, (P.ACTIVE,)),
         (OPEN, Change.TAPPED_AWAY, (P.MAKING_WAY,)),
         (OPEN, Change.LEFT, (P.WAITING,)),
@@ -170,8 +170,19 @@ class ArrangementTask(Task):
             )
             for name, state in found.items()
         }
+        self._notice_departures()
         monitor.watch(self.object_id)
         return True
+
+    def _notice_departures(self) -> None:
+        """Mark objects that are no longer at their goals, because a person moved or turned them. An
+        arrangement that ends before the next decision must not report them at their goals."""
+        for name, one in self.wanted.items():
+            if name in self._seen and self._machine(name).state is P.REACHED:
+                pose, (position, angle) = self._seen[name].pose, one.tolerance
+                turn = abs(pose.rotation_to(one.goal))
+                if pose.distance_to(one.goal) > position or turn > angle:
+                    self._change(name, Change.LEFT)
 
     def avoid(self, obstacles: Sequence[KeepOut]) -> None:
         """Avoid these areas from the next decision on."""

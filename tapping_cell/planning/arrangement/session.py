@@ -223,6 +223,11 @@ class ArrangementSession:
             self.move, self._excluded, self._stalled = None, frozenset(), frozenset()
             for name in self.touched:
                 self._confirmed.pop(name, None)
+        # A hand may have turned or moved an object away from its goal while the move of another
+        # object goes on.
+        self.finished = frozenset(
+            name for name in self.finished if _is_within_tolerance(self._by_name[name], poses[name])
+        )
         for _ in range(4 * len(self.bodies) + 4):
             if self.move is None:
                 chosen = self._choose(seen, poses, observe_again)
@@ -333,14 +338,13 @@ class ArrangementSession:
         confirmed = self._confirmed.get(body.name)
         if confirmed is None or body.goal is None:
             return False
-        settings, pose = body.planner.settings, seen.pose
-        noise = settings.camera if seen.covariance is None else noise_of(seen.covariance)
+        pose, nominal = seen.pose, body.planner.settings.camera
+        noise = nominal if seen.covariance is None else noise_of(seen.covariance)
         same = math.sqrt(2.0) * STILL
         return (
             confirmed.distance_to(pose) <= same * noise.position
             and abs(confirmed.rotation_to(pose)) <= same * noise.angle
-            and pose.distance_to(body.goal) <= settings.tolerance_position
-            and abs(pose.rotation_to(body.goal)) <= settings.tolerance_angle
+            and _is_within_tolerance(body, pose)
         )
 
     def _scene(self, excluded: frozenset[tuple[str, Purpose]], waiting: frozenset[str]) -> Scene:
@@ -391,6 +395,15 @@ class ArrangementSession:
         self._excluded |= {(body.name, move.purpose)}
         self.move = None
         return None
+
+
+def _is_within_tolerance(body: Body, pose: Pose) -> bool:
+    """Return whether an object with a goal was measured at its goal, within the tolerance."""
+    settings, goal = body.planner.settings, body.target
+    return (
+        pose.distance_to(goal) <= settings.tolerance_position
+        and abs(pose.rotation_to(goal)) <= settings.tolerance_angle
+    )
 
 
 @functools.lru_cache(maxsize=64)

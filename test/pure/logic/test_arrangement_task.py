@@ -316,6 +316,25 @@ def test_a_touched_object_is_observed_and_replanned(cell: Table) -> None:
     assert all(cell.poses[name].distance_to(goal) < 0.001 for name, goal in goals.items())
 
 
+def test_an_object_turned_away_from_its_goal_is_not_reported_at_its_goal(cell: Table) -> None:
+    """A person turns it while the other object is on its way; then the arrangement is stopped."""
+    one, other = cell.names[:2]
+    goals = {one: cell.poses[one], other: moved(cell.poses[other], 0.06, 0.0)}
+
+    def turn() -> None:
+        cell.on_tap = lambda: cell.publish("emergency_stop", Bool(data=True))
+        cell.poses[one] = moved(cell.poses[one], 0.0, 0.0, 0.2)
+        cell.poses[other] = PLACES[1]
+
+    cell.on_tap = turn
+    cell.send(goals, in_order=True)
+    result = cell.end()
+    assert [tap.object_id for tap in cell.taps] == [other, other]
+    assert ObjectProgress.REACHED in {report.objects[0].state for report in cell.reports}
+    assert result.error_code == ErrorCode.EMERGENCY_STOP
+    assert {progress.state for progress in result.objects} == {ObjectProgress.FAILED}
+
+
 def test_an_object_moved_by_hand_before_the_tap_cancels_the_tap(cell: Table) -> None:
     one, other = cell.names[:2]
     cell.send({one: moved(cell.poses[one], 0.02, 0.0)})

@@ -253,6 +253,24 @@ def test_a_confirmed_object_is_not_tapped_for_one_noisy_observation(
     assert ("o0" in session.finished) == (shifted.distance_to(goals[0]) <= 1e-3)
 
 
+@settings(max_examples=8, deadline=None)
+@given(st.floats(-0.1, 0.1), st.floats(-1.5e-3, 1.5e-3))
+def test_an_object_that_leaves_its_goal_is_not_finished_while_another_one_is_moved(
+    kind: Kind, turn: float, shift: float
+) -> None:
+    goals = [Pose(0.1, 0.0, 0.0), Pose(-0.1, 0.1, 0.0)]
+    session = ArrangementSession(bodies_of(kind, goals))
+    far = Observation(Pose(-0.1, -0.1, 0.0))
+    tap = session.decide({"o0": Observation(goals[0]), "o1": far})
+    assert isinstance(tap, TapOf) and tap.name == "o1" and session.finished == {"o0"}
+    moved = Pose(goals[0].x, shift, turn)
+    again = session.decide({"o0": Observation(moved), "o1": far})
+    assert isinstance(again, TapOf) and again.move is tap.move
+    tolerance = kind.planner.settings
+    within = abs(shift) <= tolerance.tolerance_position and abs(turn) <= tolerance.tolerance_angle
+    assert ("o0" in session.finished) == within
+
+
 def test_a_move_without_progress_is_deferred_until_another_object_has_moved(kind: Kind) -> None:
     goals = [Pose(0.1, 0.0, 0.0), Pose(-0.1, 0.12, 0.0)]
     session = ArrangementSession(bodies_of(kind, goals))
