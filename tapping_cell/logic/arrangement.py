@@ -177,12 +177,12 @@ class ArrangementTask(Task):
     def _notice_departures(self) -> None:
         """Mark objects that are no longer at their goals, because a person moved or turned them. An
         arrangement that ends before the next decision must not report them at their goals."""
-        for name, one in self.wanted.items():
-            if name in self._seen and self._machine(name).state is P.REACHED:
-                pose, (position, angle) = self._seen[name].pose, one.tolerance
-                turn = abs(pose.rotation_to(one.goal))
-                if pose.distance_to(one.goal) > position or turn > angle:
-                    self._change(name, Change.LEFT)
+        for body in self.bodies:
+            if body.goal is None or body.name not in self._seen:
+                continue
+            reached = self._machine(body.name).state is P.REACHED
+            if reached and not body.is_at_goal(self._seen[body.name].pose):
+                self._change(body.name, Change.LEFT)
 
     def avoid(self, obstacles: Sequence[KeepOut]) -> None:
         """Avoid these areas from the next decision on."""

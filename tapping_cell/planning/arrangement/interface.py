@@ -36,6 +36,15 @@ class Body:
         assert self.goal is not None, f"'{self.name}' has no goal"
         return self.goal
 
+    def is_at_goal(self, pose: Pose) -> bool:
+        """Return whether this pose is within the tolerance of the goal of an object that has
+        one."""
+        settings = self.planner.settings
+        return (
+            pose.distance_to(self.target) <= settings.tolerance_position
+            and abs(pose.rotation_to(self.target)) <= settings.tolerance_angle
+        )
+
     @property
     def radius(self) -> float:
         """Radius of the bounding circle, m."""

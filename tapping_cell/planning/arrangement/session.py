@@ -226,7 +226,7 @@ class ArrangementSession:
         # A hand may have turned or moved an object away from its goal while the move of another
         # object goes on.
         self.finished = frozenset(
-            name for name in self.finished if _is_within_tolerance(self._by_name[name], poses[name])
+            name for name in self.finished if self._by_name[name].is_at_goal(poses[name])
         )
         for _ in range(4 * len(self.bodies) + 4):
             if self.move is None:
@@ -344,7 +344,7 @@ class ArrangementSession:
         return (
             confirmed.distance_to(pose) <= same * noise.position
             and abs(confirmed.rotation_to(pose)) <= same * noise.angle
-            and _is_within_tolerance(body, pose)
+            and body.is_at_goal(pose)
         )
 
     def _scene(self, excluded: frozenset[tuple[str, Purpose]], waiting: frozenset[str]) -> Scene:
@@ -395,15 +395,6 @@ class ArrangementSession:
         self._excluded |= {(body.name, move.purpose)}
         self.move = None
         return None
-
-
-def _is_within_tolerance(body: Body, pose: Pose) -> bool:
-    """Return whether an object with a goal was measured at its goal, within the tolerance."""
-    settings, goal = body.planner.settings, body.target
-    return (
-        pose.distance_to(goal) <= settings.tolerance_position
-        and abs(pose.rotation_to(goal)) <= settings.tolerance_angle
-    )
 
 
 @functools.lru_cache(maxsize=64)
