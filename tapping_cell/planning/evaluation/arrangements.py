@@ -239,7 +239,7 @@ def arrange(
         assert isinstance(decision, Refusal)
         trial.end = "refused before" if trial.taps == 0 else "refused later"
         trial.sentence = decision.sentence
-    trial.inside = all(_inside(body, true[body.name]) for body in bodies)
+    trial.inside = all(body.is_at_goal(Pose(*true[body.name].tolist())) for body in bodies)
     return trial
 
 
@@ -318,13 +318,6 @@ def _longer(
     mean = np.array(seen.pose) + step / observations
     covariance = body.planner.settings.camera.covariance / observations
     return Observation(Pose(*mean.tolist()), covariance)
-
-
-def _inside(body: Body, true: Array) -> bool:
-    settings = body.planner.settings
-    x, y, turn = difference(true, body.target).tolist()
-    away = math.hypot(x, y)
-    return away <= settings.tolerance_position and abs(turn) <= settings.tolerance_angle
 
 
 def _draw_gains(task: ArrangementTask, rng: np.random.Generator) -> Array:
