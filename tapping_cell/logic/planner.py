@@ -336,7 +336,8 @@ class PlannerLogic:
             if self._task is not None:
                 self._fail(*EMERGENCY_STOP, now)
         if topic != "goal_pose":
-            # A stop may have been cleared already if this process was suspended meanwhile.
+            # A stop or a fault ends the goal in every state, so that a person who clears it does
+            # not start a motion. It may have been cleared already if this process was suspended.
             stop = self._monitor.fault() or stop
             self._stop_reported = self._stop_reported or stop
             if stop is not None and self._task is not None:
@@ -626,8 +627,7 @@ class PlannerLogic:
     # The cycle
 
     def _advance(self, now: Now) -> None:
-        """Run the handler of the present state, unless a stop, a fault or the time limit ends the
-        goal."""
+        """Run the handler of the present state, unless the time limit ends the goal."""
         if not self._active:
             return
         if self._resumed is not None:
@@ -635,12 +635,6 @@ class PlannerLogic:
             self._resume(request, now)
         task = self._task
         if task is None:
-            return
-        # Also while the goal waits for the cell: a person who clears a stop or a fault must not
-        # thereby start a motion.
-        fault = self._monitor.fault()
-        if fault is not None:
-            self._fail(*fault, now)
             return
         if now.steady > task.expires:
             self._fail(

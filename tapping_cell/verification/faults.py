@@ -428,14 +428,29 @@ def _foreign_flood(rng: np.random.Generator, trial: FaultTarget) -> Made:
 
 def _repeated_command(rng: np.random.Generator, trial: FaultTarget) -> Made:
     """The last TAP arrives once more unchanged, replayed from a recording or duplicated by the
-    network."""
+    network. Sometimes this happens just after the tapper's process was started again."""
+    restarted = rng.random() < 0.3
+    away, delay = draw_duration(rng, 0.2, 5.0), draw_duration(rng, 0.01, 3.0)
 
-    def strike(t: FaultTarget) -> None:
+    def repeat(t: FaultTarget) -> None:
         last = max(t.checker.commands, default=0)
         if last:
             t.network.publish("somebody_else", "tap_command", t.checker.commands[last])
 
-    return strike, "the last TAP is repeated"
+    def strike(t: FaultTarget) -> None:
+        if restarted:
+            t.kill("tapper_trigger", away)
+            t.note_kind("kill")
+            t.scheduler.after(away + delay, partial(repeat, t))
+        else:
+            repeat(t)
+
+    description = "the last TAP is repeated"
+    if restarted:
+        description += (
+            f" {delay:.2f} s after tapper_trigger, killed, was restarted after {away:.1f} s"
+        )
+    return strike, description
 
 
 def _slow_answer(rng: np.random.Generator, trial: FaultTarget) -> Made:
@@ -763,14 +778,19 @@ def _service_stop(rng: np.random.Generator, trial: FaultTarget) -> Made:
 
 def _stop_and_reset(rng: np.random.Generator, trial: FaultTarget) -> Made:
     """Somebody stops a device, and soon afterwards somebody clears the stop without looking whether
-    a goal is under way."""
+    a goal is under way. Sometimes the planner is frozen meanwhile."""
     node, after = _pick(rng, (trial.arm_node, "tapper_trigger")), draw_duration(rng, 0.3, 6.0)
+    frozen = 0.0 if rng.random() < 0.7 else float(rng.uniform(0.0, 5.0))
 
     def strike(t: FaultTarget) -> None:
+        if frozen:
+            t.freeze("tap_planner", frozen)
+            t.note_kind("freeze")
         t.call_stop(node)
         t.scheduler.after(after, partial(t.reset, node), in_main=True)
 
-    return strike, f"service stop of {node}, cleared after {after:.2f} s"
+    description = f"service stop of {node}, cleared after {after:.2f} s"
+    return strike, description + (f", tap_planner frozen for {frozen:.2f} s" if frozen else "")
 
 
 def _interlock(rng: np.random.Generator, trial: FaultTarget) -> Made:

@@ -569,12 +569,9 @@ MUTANTS: tuple[Mutant, ...] = (
     Mutant(
         "a reset continues the goal",
         "tapping_cell.logic.planner",
-        "        fault = self._monitor.fault()\n"
-        "        if fault is not None:\n"
-        "            self._fail(*fault, now)\n"
-        "            return\n"
-        "        if now.steady > task.expires:\n",
-        "        if now.steady > task.expires:\n",
+        "            if stop is not None and self._task is not None:\n"
+        "                self._fail(*stop, now)\n",
+        "",
         kinds=("stop and reset",),
     ),
     Mutant(
@@ -616,12 +613,8 @@ MUTANTS: tuple[Mutant, ...] = (
     Mutant(
         "calls a failed goal a success",
         "tapping_cell.logic.planner",
-        "            self._fail(*fault, now)\n"
-        "            return\n"
-        "        if now.steady > task.expires:\n",
-        "            self._fail(ErrorCode.NONE, fault[1], now)\n"
-        "            return\n"
-        "        if now.steady > task.expires:\n",
+        "                self._fail(*stop, now)\n",
+        "                self._fail(ErrorCode.NONE, stop[1], now)\n",
         kinds=("stop service", "emergency stop"),
     ),
     Mutant(
