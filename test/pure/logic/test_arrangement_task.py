@@ -13,7 +13,14 @@ from test_planner_with_played_devices import COVARIANCE, FAST, shipped
 from virtual_node import VirtualNode
 
 from tapping_cell.configuration.objects import ObjectFile
-from tapping_cell.logic.arrangement import FOLLOWS, OPEN, PROGRESS_TABLE, Change, Progress
+from tapping_cell.logic.arrangement import (
+    FOLLOWS,
+    OPEN,
+    PROGRESS_TABLE,
+    ArrangementTask,
+    Change,
+    Progress,
+)
 from tapping_cell.logic.clock import Now
 from tapping_cell.logic.goal_handling import GoalHandling
 from tapping_cell.logic.other_objects import OtherObjects
@@ -332,6 +339,28 @@ def test_an_object_turned_away_from_its_goal_is_not_reported_at_its_goal(cell: T
     assert [tap.object_id for tap in cell.taps] == [other, other]
     assert ObjectProgress.REACHED in {report.objects[0].state for report in cell.reports}
     assert result.error_code == ErrorCode.EMERGENCY_STOP
+    assert {progress.state for progress in result.objects} == {ObjectProgress.FAILED}
+
+
+def test_an_object_turned_away_is_noticed_even_if_no_decision_follows(
+    cell: Table, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A person turns an object away from its goal, and the next decision fails."""
+    one, other = cell.names[:2]
+
+    def fail() -> None:
+        raise RuntimeError("the decision failed")
+
+    def turn() -> None:
+        cell.poses[one] = moved(cell.poses[one], 0.0, 0.0, 0.2)
+        monkeypatch.setattr(ArrangementTask, "computation", lambda _, frames: fail)
+
+    cell.on_tap = turn
+    cell.send({one: cell.poses[one], other: moved(cell.poses[other], 0.06, 0.0)}, in_order=True)
+    result = cell.end()
+    assert [tap.object_id for tap in cell.taps] == [other]
+    assert ObjectProgress.REACHED in {report.objects[0].state for report in cell.reports}
+    assert result.error_code == ErrorCode.INTERNAL
     assert {progress.state for progress in result.objects} == {ObjectProgress.FAILED}
 
 
