@@ -32,7 +32,12 @@ class DeviceEmulator(Protocol):
 def earliest(*times: float | None) -> float | None:
     """Return the earliest of several times, of which any may be None; None if all times are
     None."""
-    return min((time for time in times if time is not None), default=None)
+    # The simulator calls this 20 000 times per goal; min with a generator takes six times as long.
+    first: float | None = None
+    for time in times:
+        if time is not None and (first is None or time < first):
+            first = time
+    return first
 
 
 class TimedBytes:
