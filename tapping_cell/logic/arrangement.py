@@ -239,6 +239,13 @@ class ArrangementTask(Task):
         self.tolerance = settings.tolerance_position, settings.tolerance_angle
         return decision.strike
 
+    def outdated(self, monitor: CellMonitor, distance: float, angle: float) -> bool:
+        """Return whether the decision no longer fits the objects; see ``Task.outdated``."""
+        return any(
+            not monitor.sees_at_rest(name) or monitor.moved(name, observed.pose, distance, angle)
+            for name, observed in self._seen.items()
+        ) or self._has_appeared(monitor)
+
     def before(self, seen: ObjectState) -> Pose:
         """Return the pose of the present object in the observation that the decision used."""
         return self._seen[self.object_id].pose
@@ -253,7 +260,11 @@ class ArrangementTask(Task):
             monitor.moved(name, observed.pose, distance, angle)
             for name, observed in self._seen.items()
             if name != self.object_id
-        ) or any(monitor.sees(body.name) for body in self.bodies if body.name not in self._seen)
+        ) or self._has_appeared(monitor)
+
+    def _has_appeared(self, monitor: CellMonitor) -> bool:
+        """Return whether an object is seen that was not seen in the last observation."""
+        return any(monitor.sees(body.name) for body in self.bodies if body.name not in self._seen)
 
     def learn(self, shot: Shot, pose: Pose, covariance: Array) -> None:
         """Learn from a tap of the present object."""

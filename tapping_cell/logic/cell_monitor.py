@@ -329,6 +329,11 @@ class CellMonitor:
         """Same as :meth:`seen_away_from` for the object ``name`` in ``object_states``."""
         return _away(self._states.get(name), pose, distance, angle)
 
+    def sees_at_rest(self, name: str) -> bool:
+        """Return whether the last observation shows the object ``name`` of ``object_states`` at
+        rest."""
+        return self.sees(name) and self._states[name].at_rest
+
     def sees(self, name: str) -> bool:
         """Return whether the last observation shows the object ``name`` of ``object_states``."""
         state = self._states.get(name)

@@ -385,7 +385,7 @@ class PlannerLogic:
         return ()
 
     def on_job(self, event: JobProgress | JobEnded, now: Now) -> Sequence[Effect]:
-        """Act on the decision that a job has computed."""
+        """Act on the decision that a job has computed, unless an object was moved meanwhile."""
         task, seen = self._task, self._monitor.object
         awaited = isinstance(event, JobEnded) and event.job == self._computation
         if task is None or seen is None or self.state is not S.PLANNING or not awaited:
@@ -393,7 +393,11 @@ class PlannerLogic:
         assert isinstance(event, JobEnded)
         if event.fault is not None:
             raise event.fault
-        self._act(task, task.conclude(event.result), seen, now)
+        if task.outdated(self._monitor, *self._moved_limits):
+            deadline = self._settings.observe_deadline
+            self._enter(Event.OBSERVATION_REQUESTED, S.LOOKING, now, deadline)
+        else:
+            self._act(task, task.conclude(event.result), seen, now)
         return self._drain()
 
     def on_tick(self, now: Now) -> Sequence[Effect]:
@@ -1061,10 +1065,15 @@ class PlannerLogic:
         deadline = self._settings.ready_deadline
         self._enter(Event.CELL_NOT_READY, S.WAITING_FOR_CELL, now, deadline)
 
+    @property
+    def _moved_limits(self) -> tuple[float, float]:
+        """Distance (m) and angle (rad) beyond which an object counts as moved."""
+        return self._settings.moved_limit, self._settings.turned_limit
+
     def _disturbed(self, shot: Shot, now: Now) -> bool:
         """Return whether the present object or another object was moved since the tap was
         planned."""
-        limits = self._settings.moved_limit, self._settings.turned_limit
+        limits = self._moved_limits
         if self._monitor.seen_away_from(shot.before, *limits):
             return True
         if isinstance(self._task, ArrangementTask):

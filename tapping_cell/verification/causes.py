@@ -115,6 +115,7 @@ COVERED = "the arm covers the object"
 KEY_ONLY = "the person of set-up mode holds only the key"
 """Condition in which the tapper's board refuses more than its set-up energy."""
 SHORT_TIME_LIMIT = "the goal has a short time limit"
+FEW_TAPS = "the goal may have only a few taps"
 SWITCH_UNKNOWN = (
     ENDS | LINKS | TAPPER_LINE | TAPPER_POWER | FOREIGN | TAPPER_ENDS | {"deactivate", "clock step"}
 )
@@ -179,7 +180,7 @@ EXPLAINED_BY: dict[int, frozenset[str]] = {
     | {"enabling device released", "enabling messages delayed", KEY_ONLY},
     ErrorCode.TAP_NOT_CONFIRMED: UNANSWERED,
     ErrorCode.TAP_WITHOUT_EFFECT: CAMERA | POWER,
-    ErrorCode.TAP_LIMIT_REACHED: CAMERA | FOREIGN,
+    ErrorCode.TAP_LIMIT_REACHED: CAMERA | FOREIGN | {FEW_TAPS},
     ErrorCode.TAP_WITHOUT_ROTATION: CAMERA | FOREIGN,
 }
 """For each error code of a goal, the kinds of faults that can cause this code. When a goal ends

@@ -54,6 +54,8 @@ from tapping_cell.verification.serial_line import SerialLine
 
 START_S = (0.4, 2.5)
 """Range of the time from the start of a process to its first attempt to configure."""
+COMPUTING_S = (0.0, 0.5)
+"""Range of the duration of a job that only computes."""
 RETRY_S = 1.0
 """Time between two attempts to configure."""
 
@@ -412,9 +414,9 @@ class Process:
 
     def _queue(self, job: Job) -> None:
         if self._worker is None:
-            # The node has no device, so the job only computes and takes no simulated time.
+            # The node has no device, so the job only computes.
             life = self._life
-            self._scheduler.after(0.0, lambda: self._compute(job, life))
+            self._scheduler.after(self._draw(*COMPUTING_S), lambda: self._compute(job, life))
             return
         self._jobs.append(job)
         if self._running is None:

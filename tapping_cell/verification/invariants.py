@@ -219,6 +219,8 @@ class InvariantChecker:
     """Return the time of the exposure of the image with this stamp (ns)."""
     goal_time_limit: float = math.inf
     """Time limit of the goals, s."""
+    tap_limit: int = 0
+    """Limit of the number of taps that the goals request; 0: the limit of the cell's file."""
     planner_frozen_until: Callable[[], float] = lambda: -math.inf
     deadlines: dict[int, float] = field(default_factory=dict)
     """Time limit of each published state in which the planner waits for arm or tapper, s."""
@@ -253,6 +255,9 @@ class InvariantChecker:
     """Time at which the arm last ceased to move to a strike pose."""
     _commanded_at: dict[int, float] = field(default_factory=dict)
     """For each tap, the time at which it was first commanded."""
+    _planned_from: dict[int, float] = field(default_factory=dict)
+    """For each tap of the planner, the exposure of the last image that the planner had received
+    when it commanded the tap."""
     _placed_tap: int = 0
     """Last tap for which the arm has moved to a strike pose; 0 if there is none."""
     _clear: bool = False
@@ -283,9 +288,6 @@ class InvariantChecker:
     may miss the other ones."""
     _stopped: set[str] = field(default_factory=set)
     """Those of arm and tapper that were stopped during the present goal."""
-    _told_to_stop: bool = False
-    """Whether the planner's process has received, during its present goal, that the emergency stop
-    is pressed or that arm or tapper is stopped."""
     _image: float = -math.inf
     """Exposure of the image of the object that the planner's process received last; -inf if this
     image does not show the object."""
@@ -730,6 +732,7 @@ class InvariantChecker:
     def _check_image(self, tap_id: int, exposed: float) -> None:
         """Check that the planner's last image of the tapped object was exposed after the last tap
         of the goal. The planner cannot know the smallest delay of its images."""
+        self._planned_from[tap_id] = exposed
         shot = self._last_shot()
         unknown = min((delay for _, delay in self._delays), default=math.inf)
         if exposed < shot - unknown - ROUNDING_S:
@@ -775,16 +778,18 @@ class InvariantChecker:
             self.unhomed_since = math.inf
 
     @property
-    def _placed_tap_commanded_at(self) -> float:
-        """Time at which the arm's last tap was commanded."""
-        return self._commanded_at.get(self._placed_tap, -math.inf)
+    def _placed_tap_seen_at(self) -> float:
+        """Exposure of the image from which the arm's last tap was planned; the time of the command
+        if another program commanded the tap."""
+        commanded = self._commanded_at.get(self._placed_tap, -math.inf)
+        return self._planned_from.get(self._placed_tap, commanded)
 
     def _check_view(self, message: ArmState) -> None:
         """Check that the arm does not hide the object when its node begins to report this."""
         before, self._clear = self._clear, message.clear_of_camera
         now, moved = self.scheduler.now, self.moved_by_hand
         # The arm leaves the view of the object that was tapped, wherever a hand has moved it since.
-        elsewhere = moved is not None and moved[0] > self._placed_tap_commanded_at
+        elsewhere = moved is not None and moved[0] > self._placed_tap_seen_at
         if message.clear_of_camera and not before and not elsewhere:
             if self.physical.moving(now):
                 self.violate("false view", "the arm is reported clear of the camera while it moves")
@@ -880,16 +885,22 @@ class InvariantChecker:
             self._stops.add(to_nanoseconds(message.header.stamp))
 
     def on_state_received_by_planner(self, message: ArmState | TapperState) -> None:
-        """Process a state of arm or tapper that the planner's process received."""
-        if self._goal is not None and to_nanoseconds(message.header.stamp) in self._stops:
-            self._told_to_stop = True
+        """Process a state of arm or tapper that the planner's process has handled."""
+        if to_nanoseconds(message.header.stamp) in self._stops:
+            self.on_stop_received_by_planner()
 
     def on_stop_received_by_planner(self) -> None:
-        """Process an emergency stop that the planner's process received."""
-        self._told_to_stop = self._goal is not None
+        """Process that the planner's process has handled the message of a stop."""
+        if self._goal is not None:
+            self.violate(
+                "goal outlives a stop",
+                "the planner has received that the cell, the arm or the tapper was stopped during"
+                " the present goal, but has not ended this goal",
+            )
 
     def _begin_goal(self, message: PlanState) -> None:
         """Check that somebody has requested the goal that the planner begins."""
+        self._check_planner_active("began a goal")
         pose = from_message(message.goal.pose)
         found = [
             index
@@ -903,7 +914,6 @@ class InvariantChecker:
         if self.confirmation is not None:
             resumed = self._crashed is not None and self._crashed[0] == self._goal
             self.confirmation.on_goal_begun(self._goal, resumed)
-        self._told_to_stop = False
         self._stops.clear()
         self._stopped.clear()
         crashed = self._crashed
@@ -932,17 +942,19 @@ class InvariantChecker:
         self._begun.add(self._goal)
 
     def _check_goal_of(self, tap_id: int) -> None:
-        """Check that the planner has a goal, and that no stop has ended it, when it commands a
-        tap."""
+        """Check that the planner has a goal and is active when it commands a tap."""
+        self._check_planner_active(f"commanded tap {tap_id}")
         if self._goal is None:
             self.violate("tap without a goal", f"tap {tap_id} was commanded without a goal")
             return
         self._taps.setdefault(self._goal, []).append(tap_id)
-        if self._told_to_stop:
+
+    def _check_planner_active(self, action: str) -> None:
+        inactive = self.scheduler.now - self.inactive_since("tap_planner")
+        if inactive >= 0.0:
             self.violate(
-                "goal outlives a stop",
-                f"tap {tap_id} was commanded for a goal that is older than the last stop that the"
-                " planner had received",
+                "works while inactive",
+                f"the planner {action} {inactive:.2f} s after its node had been deactivated",
             )
 
     def check_result(
@@ -961,6 +973,11 @@ class InvariantChecker:
     def _check_count(self, who: str, request: int, taps: int) -> None:
         """Check a reported number of taps of a goal, including taps before a crash of the
         planner."""
+        limited = self.tap_limit and not self._requests[request][1]
+        if limited and taps > self.tap_limit:
+            self.violate(
+                "too many taps", f"{who} {taps} taps, but the limit of the goal is {self.tap_limit}"
+            )
         commanded = self._taps.get(request, [])
         told = set(commanded) - self._forged
         fired = sum(release.shot in told for release in self.physical.releases)

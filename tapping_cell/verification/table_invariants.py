@@ -351,7 +351,7 @@ class TableInvariantChecker(InvariantChecker):
             )
 
     def _check_view(self, message: ArmState) -> None:
-        if self._contact_at > self._placed_tap_commanded_at:
+        if self._contact_at > self._placed_tap_seen_at:
             # The object that was tapped has hit another one and is not where the arm expects it.
             self._clear = message.clear_of_camera
             return

@@ -8,6 +8,7 @@ ARRANGEMENT = "tapping_cell.logic.arrangement"
 OTHERS = "tapping_cell.logic.other_objects"
 HANDLING = "tapping_cell.logic.goal_handling"
 PEERS = "tapping_cell.logic.tapper_peers"
+PLANNER = "tapping_cell.logic.planner"
 
 TABLE_MUTANTS: tuple[Mutant, ...] = (
     Mutant(
@@ -21,8 +22,8 @@ TABLE_MUTANTS: tuple[Mutant, ...] = (
     Mutant(
         "arranges on although an object appeared",
         ARRANGEMENT,
-        ") or any(monitor.sees(body.name) for body in self.bodies if body.name not in self._seen)",
-        ")",
+        "any(monitor.sees(body.name) for body in self.bodies if body.name not in self._seen)",
+        "False",
         kinds=("other object removed",),
         several=True,
     ),
@@ -104,6 +105,22 @@ TABLE_MUTANTS: tuple[Mutant, ...] = (
         "            elif name in self.arrangement.finished:\n",
         "            elif name:\n",
         kinds=("cancel", "emergency stop"),
+        several=True,
+    ),
+    Mutant(
+        "decides on objects that were moved during the decision",
+        PLANNER,
+        "        if task.outdated(self._monitor, *self._moved_limits):\n",
+        "        if False:\n",
+        kinds=("other object moved", "object moved"),
+        several=True,
+    ),
+    Mutant(
+        "acts on a decision of an earlier goal",
+        PLANNER,
+        "        awaited = isinstance(event, JobEnded) and event.job == self._computation\n",
+        "        awaited = isinstance(event, JobEnded)\n",
+        kinds=("cancel", "second client"),
         several=True,
     ),
 )

@@ -44,6 +44,8 @@ GAP_M = 0.035
 APART_M = 0.02
 """Minimum gap between two objects at the beginning of a goal, m; a person moves closer ones
 apart."""
+CENTRAL_M = (0.1, 0.06)
+"""Largest |x| and |y| of the area in which the goals that are not near their objects lie, m."""
 TRIES = 40
 
 
@@ -158,7 +160,7 @@ class TableTrial(Trial):
             way, angle = rng.uniform(0.0, FAR_M), rng.uniform(-math.pi, math.pi)
             x, y = here.x + way * math.cos(angle), here.y + way * math.sin(angle)
             if not near:
-                x, y = rng.uniform((-0.1, -0.06), (0.1, 0.06))
+                x, y = rng.uniform(np.negative(CENTRAL_M), CENTRAL_M)
             goal = Pose(
                 float(np.clip(x, -0.15, 0.15)),
                 float(np.clip(y, -0.1, 0.1)),
@@ -176,6 +178,7 @@ class TableTrial(Trial):
                 self.checker.asked[index] = asked
             goal = PositionObject.Goal(goal_pose=message, object_id=name)
             goal.time_limit = self.settings.goal_time_limit
+            goal.max_taps = self.tap_limit
             return "position_object", goal
         self.checker.asked[index] = asked
         goals = []
@@ -187,12 +190,21 @@ class TableTrial(Trial):
             in_order=self._arranged_in_order,
             may_move=list(self._may_move),
             time_limit=self.settings.goal_time_limit,
+            max_taps=self.tap_limit,
         )
 
     def _is_explained(self, code: int, struck: set[str]) -> bool:
         if code == ErrorCode.OBJECT_NOT_SEEN and not self._needed_object_removed():
             struck = struck - {"other object removed"}
+        if code == ErrorCode.NO_ARRANGEMENT and self._asked.arrangement and self._has_edge_goal():
+            return True
         return super()._is_explained(code, struck)
+
+    def _has_edge_goal(self) -> bool:
+        """Return whether a goal is so far from the middle of the table that the striker may lack
+        space beside the other goals and objects."""
+        (x, y), goals = CENTRAL_M, self._asked.goals.values()
+        return any(abs(goal.x) > x or abs(goal.y) > y for goal in goals)
 
     def _needed_object_removed(self) -> bool:
         """Return whether an object that the goal moves, or may move, was taken off the table. The

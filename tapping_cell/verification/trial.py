@@ -55,6 +55,7 @@ from tapping_cell.simulation.truth import TruthFile
 from tapping_cell.verification.camera import Camera
 from tapping_cell.verification.causes import (
     COVERED,
+    FEW_TAPS,
     KEY_ONLY,
     SHORT_TIME_LIMIT,
     SWITCH_UNKNOWN,
@@ -171,6 +172,7 @@ NOTICED_S = 0.7
 board's firing window, s."""
 GOAL_TIME_LIMIT_S = 120.0
 SHARE_OF_SHORT_LIMITS, SHORT_LIMIT_S = 0.2, (2.0, 25.0)
+SHARE_OF_FEW_TAPS, MOST_TAPS = 0.1, 3
 """Fraction of the runs whose goals have a short time limit, and the range of that limit in s."""
 SHARE_OF_ONE_FRAME = 0.25
 """Fraction of the runs in which the planner decides on a single frame of the object at rest."""
@@ -336,6 +338,10 @@ class Trial:
         self.short_time_limit = bool(self.rng.random() < SHARE_OF_SHORT_LIMITS)
         """Whether goals have a short time limit. Such a limit ends some goals even without a
         fault."""
+        limits = np.random.default_rng([seed, 23])
+        few = limits.random() < SHARE_OF_FEW_TAPS
+        self.tap_limit = int(limits.integers(1, MOST_TAPS + 1)) if few else 0
+        """Limit of the number of taps that the goals request; 0: the limit of the cell's file."""
         self.settings = PlannerSettings(
             goal_time_limit=draw_duration(self.rng, *SHORT_LIMIT_S)
             if self.short_time_limit
@@ -397,6 +403,7 @@ class Trial:
         self.checker.inactive_since = lambda name: self.processes[name].inactive_since
         self.checker.planner_frozen_until = lambda: self.processes["tap_planner"].frozen_until
         self.checker.goal_time_limit = self.settings.goal_time_limit
+        self.checker.tap_limit = self.tap_limit
         for process in self.processes.values():
             process.on_handled = self._on_handled
             process.on_asked = self._on_asked
@@ -560,7 +567,8 @@ class Trial:
         asks = self.asks == OF_GOAL
         if asks and self.checker.confirmation is not None:
             self.checker.confirmation.asking_goals.add(index)
-        return "position_object", PositionObject.Goal(goal_pose=message, ask=asks)
+        goal = PositionObject.Goal(goal_pose=message, ask=asks, max_taps=self.tap_limit)
+        return "position_object", goal
 
     def _put_back(self) -> None:
         """Put the object back in the middle of the table."""
@@ -753,13 +761,19 @@ class Trial:
         self._add_conditions_of_set_up(struck)
         if self.short_time_limit and not in_time:
             struck.add(SHORT_TIME_LIMIT)
+        if self.tap_limit:
+            struck.add(FEW_TAPS)
         if result.error_code > 0 and not self._is_explained(result.error_code, struck):
             self.checker.violate(
                 "untrue cause",
                 f"goal {number} ended with code {result.error_code} ({result.error_msg}); none of"
                 f" the injected faults explains this: {', '.join(sorted(struck)) or '-'}",
             )
-        if quiet and result.error_code and struck.isdisjoint((SHORT_TIME_LIMIT, KEY_ONLY)):
+        if (
+            quiet
+            and result.error_code
+            and struck.isdisjoint((SHORT_TIME_LIMIT, FEW_TAPS, KEY_ONLY))
+        ):
             self.checker.violate(
                 "failed without a fault", f"code {result.error_code}: {result.error_msg}"
             )

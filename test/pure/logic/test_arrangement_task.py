@@ -24,7 +24,7 @@ from tapping_cell.logic.arrangement import (
 from tapping_cell.logic.clock import Now
 from tapping_cell.logic.goal_handling import GoalHandling
 from tapping_cell.logic.other_objects import OtherObjects
-from tapping_cell.logic.planner import PlannerLogic
+from tapping_cell.logic.planner import PlannerLogic, State
 from tapping_cell.logic.planner_settings import PlannerSettings
 from tapping_cell.logic.poses import from_message, to_message
 from tapping_cell.logic.tapper_peers import PeerLimits, TapperPeers
@@ -46,6 +46,7 @@ from tapping_cell.messages import (
 )
 from tapping_cell.planning.arrangement import ArrangementSession
 from tapping_cell.se2 import Pose
+from tapping_cell.verification import host
 
 PATIENT = replace(FAST, observe_deadline=8.0)
 """Settings with which the planner waits longer than an object is remembered."""
@@ -362,6 +363,20 @@ def test_an_object_turned_away_is_noticed_even_if_no_decision_follows(
     assert ObjectProgress.REACHED in {report.objects[0].state for report in cell.reports}
     assert result.error_code == ErrorCode.INTERNAL
     assert {progress.state for progress in result.objects} == {ObjectProgress.FAILED}
+
+
+def test_no_tap_is_commanded_if_an_object_was_moved_during_the_decision(
+    cell: Table, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(host, "COMPUTING_S", (0.5, 0.5))
+    one, other = cell.names[:2]
+    cell.send({one: moved(cell.poses[one], 0.02, 0.0)})
+    cell.wait(lambda: cell.process.logic.state is State.PLANNING, "the first decision")
+    for name in (one, other):
+        cell.poses[name] = moved(cell.poses[name], 0.0, 0.01)
+    before = cell.poses[one]
+    assert cell.end().error_code == ErrorCode.NONE
+    assert from_message(cell.taps[0].object_pose).distance_to(before) < 1e-9
 
 
 def test_an_object_moved_by_hand_before_the_tap_cancels_the_tap(cell: Table) -> None:
