@@ -255,6 +255,8 @@ class InvariantChecker:
     """Time at which the arm last ceased to move to a strike pose."""
     _commanded_at: dict[int, float] = field(default_factory=dict)
     """For each tap, the time at which it was first commanded."""
+    _last_stops: dict[type, int] = field(default_factory=dict)
+    """Time of the last stop (ns) that the planner has received of arm and tapper."""
     _planned_from: dict[int, float] = field(default_factory=dict)
     """For each tap of the planner, the exposure of the last image that the planner had received
     when it commanded the tap."""
@@ -886,7 +888,14 @@ class InvariantChecker:
 
     def on_state_received_by_planner(self, message: ArmState | TapperState) -> None:
         """Process a state of arm or tapper that the planner's process has handled."""
-        if to_nanoseconds(message.header.stamp) in self._stops:
+        # Not every state after a stop tells of it: a device that was started again does not report
+        # its stop at first.
+        stopped = ArmState.STOPPED if isinstance(message, ArmState) else TapperState.STOPPED
+        last = to_nanoseconds(message.last_stop)
+        before = self._last_stops.get(type(message), last)
+        self._last_stops[type(message)] = last
+        tells = message.state == stopped or last not in (0, before)
+        if tells and to_nanoseconds(message.header.stamp) in self._stops:
             self.on_stop_received_by_planner()
 
     def on_stop_received_by_planner(self) -> None:
