@@ -250,6 +250,11 @@ class FaultLayer:
         """Return the time of the next event; bytes that wait to be read by the host are ignored."""
         return earliest(self.emulator.next_event(), self._to_device.next_time(), self._back_at)
 
+    def disturbs(self, direction: Direction) -> bool:
+        """Return whether an earlier fault, for example a long drop, still affects the bytes that
+        are sent in this direction."""
+        return not self._channel(direction).undisturbed
+
     def _channel(self, direction: Direction) -> _Channel:
         return self._to_device if direction is Direction.TO_DEVICE else self._to_host
 

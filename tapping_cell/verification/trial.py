@@ -51,6 +51,7 @@ from tapping_cell.messages import (
     Trigger,
 )
 from tapping_cell.se2 import Pose
+from tapping_cell.simulation.fault_layer import Direction
 from tapping_cell.simulation.truth import TruthFile
 from tapping_cell.verification.camera import Camera
 from tapping_cell.verification.causes import (
@@ -1505,7 +1506,9 @@ class Trial:
         """Check that a stop received by the tapper's process reaches its board immediately."""
         line, received_at = self.physical.tapper_line, self.scheduler.now
         struck = line.layer.happened
-        if not line.is_open or (struck and struck[-1][0] > received_at - BAD_LINE_S):
+        disturbed = line.layer.disturbs(Direction.TO_DEVICE)
+        disturbed = disturbed or bool(struck and struck[-1][0] > received_at - BAD_LINE_S)
+        if disturbed or not line.is_open:
             return
 
         def check() -> None:
