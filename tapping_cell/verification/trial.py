@@ -173,8 +173,9 @@ NOTICED_S = 0.7
 board's firing window, s."""
 GOAL_TIME_LIMIT_S = 120.0
 SHARE_OF_SHORT_LIMITS, SHORT_LIMIT_S = 0.2, (2.0, 25.0)
-SHARE_OF_FEW_TAPS, MOST_TAPS = 0.1, 3
 """Fraction of the runs whose goals have a short time limit, and the range of that limit in s."""
+SHARE_OF_FEW_TAPS, MOST_TAPS = 0.1, 3
+"""Fraction of the runs whose goals have a small limit of taps, and the maximum of that limit."""
 SHARE_OF_ONE_FRAME = 0.25
 """Fraction of the runs in which the planner decides on a single frame of the object at rest."""
 SHARE_OF_SET_UP, SHARE_OF_ASKS = 0.1, 0.1
@@ -762,7 +763,7 @@ class Trial:
         self._add_conditions_of_set_up(struck)
         if self.short_time_limit and not in_time:
             struck.add(SHORT_TIME_LIMIT)
-        if self.tap_limit:
+        if self.tap_limit and result.error_code == ErrorCode.TAP_LIMIT_REACHED:
             struck.add(FEW_TAPS)
         if result.error_code > 0 and not self._is_explained(result.error_code, struck):
             self.checker.violate(
@@ -1506,9 +1507,9 @@ class Trial:
         """Check that a stop received by the tapper's process reaches its board immediately."""
         line, received_at = self.physical.tapper_line, self.scheduler.now
         struck = line.layer.happened
-        disturbed = line.layer.disturbs(Direction.TO_DEVICE)
-        disturbed = disturbed or bool(struck and struck[-1][0] > received_at - BAD_LINE_S)
-        if disturbed or not line.is_open:
+        if not line.is_open or line.layer.disturbs(Direction.TO_DEVICE):
+            return
+        if struck and struck[-1][0] > received_at - BAD_LINE_S:
             return
 
         def check() -> None:
