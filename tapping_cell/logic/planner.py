@@ -994,14 +994,12 @@ class PlannerLogic:
             code, sentence = tapper.error_code, tapper.error_msg
             if not code:
                 code, sentence = WITHDRAWN_BY_ANOTHER
+                self._withdraw_confirmation(sentence)
             self._log(LogLevel.WARNING, f"tap not fired: {sentence}")
             # The tapper has not fired, so another attempt is as safe as the first.
             late = tapper.error_code in LATE
             task.late += late
             task.not_fired += not late
-            if self._confirmed is not None and not late:
-                why = f"the confirmed tap was not fired ({sentence})"
-                self._confirmed = replace(self._confirmed, withdrawn=why)
             if self._has_arm and code == ErrorCode.OBJECT_NOT_SEEN:
                 # On its way to this strike pose, the arm itself may hide the object, so choose
                 # another tap.
@@ -1028,10 +1026,19 @@ class PlannerLogic:
         if shot is None or tapper is None or tapper.outcome == TapperState.NONE:
             return
         shot.outcome = tapper.outcome
+        if shot.outcome == TapperState.NOT_FIRED and tapper.error_code not in (0, *LATE):
+            self._withdraw_confirmation(tapper.error_msg)
         if math.isfinite(tapper.measured_speed):
             shot.measured_speed = tapper.measured_speed
         if shot.fired_at is None:
             shot.fired_at = now.ros
+
+    def _withdraw_confirmation(self, sentence: str) -> None:
+        """Ask a person again before the next tap, because the confirmed tap was not fired for the
+        reason ``sentence``. An earlier reason remains."""
+        if self._confirmed is not None and not self._confirmed.withdrawn:
+            why = f"the confirmed tap was not fired ({sentence})"
+            self._confirmed = replace(self._confirmed, withdrawn=why)
 
     def _wait_for_withdrawal(self, task: Task, now: Now) -> None:
         """Wait until the arm has withdrawn and the camera has a free view."""

@@ -260,6 +260,25 @@ def test_a_repeated_proposal_gives_its_reason(
     assert len(asked.taps()) == 1
 
 
+def test_a_refusal_that_is_reported_late_withdraws_the_confirmation(asked: Asked) -> None:
+    asked.tapper_answers = None
+    asked.arm_withdraws = False
+    asked.send()
+    shown = asked.proposal()
+    assert asked.answer(shown.tap_id).accepted
+    settling = PlanState.SETTLING
+    asked.wait(lambda: asked.plans[-1].state == settling, "the tap is given up", 5.0)
+    asked.outcome = TapperState.NOT_FIRED
+    asked.tapper_error = ErrorCode.TAPPER_INTERLOCK_OPEN, "the interlock"
+    asked.run(0.1)
+    asked.tapper_error = 0, ""
+    asked.arm_withdraws, asked.arm_state = True, ArmState.IDLE
+    again = asked.proposal(shown.tap_id)
+    assert "asked again because" in again.reason and "the interlock" in again.reason
+    asked.run(1.0)
+    assert len(asked.taps()) == 1
+
+
 def test_a_lost_arm_drops_the_proposal(asked: Asked) -> None:
     asked.send()
     shown = asked.proposal()
