@@ -7,7 +7,14 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from tapping_cell.logic.poses import from_message
-from tapping_cell.messages import ConfirmTap, PlannedTap, PlanState, TapCommand
+from tapping_cell.messages import (
+    ConfirmTap,
+    ErrorCode,
+    PlannedTap,
+    PlanState,
+    TapCommand,
+    TapperState,
+)
 from tapping_cell.verification.physical_cell import PhysicalCell
 from tapping_cell.verification.scheduler import Scheduler
 
@@ -23,17 +30,29 @@ SPEED_SHARE = 0.05
 """Maximum relative difference of the striker's speeds."""
 ROUNDING = 1e-6
 """Tolerance for rounding: m, rad, s, and fraction of the speed."""
+LATE = (
+    ErrorCode.ARM_SILENT,
+    ErrorCode.CAMERA_SILENT,
+    ErrorCode.NOT_READY,
+    ErrorCode.TAPPER_ARM_NOT_IN_POSITION,
+)
+"""Codes of a tap that was not fired because a message or image came too late."""
 ENDED = (PlanState.IDLE, PlanState.REACHED, PlanState.FAILED, PlanState.CANCELED)
 """States of the planner without a goal."""
 
 
 @dataclass(slots=True)
 class Confirmed:
-    """A tap that a person confirmed at ``time``. ``ids``: all taps commanded for it."""
+    """A tap that a person confirmed at ``time``.
+
+    ``ids``: all taps commanded for it. ``refused``: error message of a tap commanded for it, if the
+    planner has received that this tap was not fired for another reason than a late message.
+    """
 
     tap: PlannedTap
     time: float
     ids: list[int]
+    refused: str = ""
 
 
 @dataclass(slots=True)
@@ -114,6 +133,16 @@ class ConfirmationChecker:
         tap = self._proposals[request.tap_id]
         self._confirmed.append(Confirmed(tap, self.scheduler.now, [request.tap_id]))
 
+    def on_tapper_state(self, message: TapperState) -> None:
+        """Process a state of the tapper that the planner's process has handled. If a tap was not
+        fired, for example because the guard was open, a person must confirm the next tap."""
+        code = message.error_code
+        if message.outcome != TapperState.NOT_FIRED or not code or code in LATE:
+            return
+        for confirmed in self._confirmed:
+            if confirmed.ids[-1] == message.tap_id:
+                confirmed.refused = message.error_msg
+
     def on_tap(self, command: TapCommand) -> None:
         """Check that a person confirmed a tap that the planner commands."""
         tap_id = command.tap_id
@@ -146,8 +175,10 @@ class ConfirmationChecker:
 
     def _covers(self, confirmed: Confirmed, command: TapCommand) -> bool:
         """Return whether a confirmation is valid for this tap: it is recent, its tap is nearly
-        equal, and no tap was fired for it."""
+        equal, and no tap was fired or refused for it."""
         tap = confirmed.tap
+        if confirmed.refused:
+            return False
         if self.scheduler.now > confirmed.time + HOLDS_S + ROUNDING:
             return False
         if any(release.shot in confirmed.ids for release in self.physical.releases):

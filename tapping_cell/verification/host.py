@@ -56,6 +56,8 @@ START_S = (0.4, 2.5)
 """Range of the time from the start of a process to its first attempt to configure."""
 COMPUTING_S = (0.0, 0.5)
 """Range of the duration of a job that only computes."""
+SHARE_OF_SLOW_COMPUTATIONS, SLOW_COMPUTING_S = 0.1, (0.5, 5.0)
+"""Fraction of these jobs that take longer, and the range of their duration, s."""
 RETRY_S = 1.0
 """Time between two attempts to configure."""
 
@@ -186,6 +188,11 @@ class Process:
         self.on_requested: Callable[[str, str, Any], None] = lambda process, service, token: None
         """Called with process, service and token when the process receives a request, before the
         state machine handles it."""
+        self.on_computing: Callable[[int], None] = lambda job: None
+        """Called with the number of a job that only computes, when the job begins."""
+        self.on_computed: Callable[[int, bool], None] = lambda job, acted: None
+        """Called at the end of such a job with its number and whether the state machine has acted
+        on its result, before the effects are carried out."""
         self.on_log: Callable[[str, str], None] = lambda process, sentence: None
         self.freezes = 0
         self.defects: list[str] = []
@@ -416,16 +423,26 @@ class Process:
         if self._worker is None:
             # The node has no device, so the job only computes.
             life = self._life
-            self._scheduler.after(self._draw(*COMPUTING_S), lambda: self._compute(job, life))
+            slow = self._draw(0.0, 1.0) < SHARE_OF_SLOW_COMPUTATIONS
+            duration = self._draw(*(SLOW_COMPUTING_S if slow else COMPUTING_S))
+            self.on_computing(job.number)
+            self._scheduler.after(duration, lambda: self._compute(job, life))
             return
         self._jobs.append(job)
         if self._running is None:
             self._worker.wake()
 
     def _compute(self, job: Job, life: int) -> None:
-        if life == self._life:
-            ended = self._run(job, None)
-            self._when_awake(lambda: self._report_end(ended))
+        if life != self._life:
+            return
+        ended = self._run(job, None)
+
+        def take(event: JobEnded, now: Now) -> Sequence[Effect]:
+            effects: Sequence[Effect] = self.logic.on_job(event, now)
+            self.on_computed(event.job, bool(effects))
+            return effects
+
+        self._when_awake(lambda: self._handle(take, ended))
 
     def _run(self, job: Job, worker: Fiber | None) -> JobEnded:
         try:

@@ -56,6 +56,9 @@ allow for the errors of the arm."""
 ENERGY_SHARE = 0.03
 """Maximum relative deviation of the energy of a release from the requested energy."""
 STRIKE_HEIGHT_M = 0.0005
+MOVED_M, MOVED_RAD = 0.002, math.radians(3.0)
+"""Maximum distance and rotation of the object from the pose for which a tap is planned, when the
+planner commands the tap."""
 BUMP_M = 0.004
 BUMP_RAD = math.radians(6.0)
 """Displacements of the object (m and rad) beyond which a planned tap must not be fired."""
@@ -279,6 +282,16 @@ class InvariantChecker:
     """Last message of the tapper."""
     _crashed: tuple[int, float] | None = None
     """Goal that the planner had when its process was killed, and the time of the crash."""
+    _new_taps: list[int] = field(default_factory=list)
+    """Ids of the taps that the planner has commanded and that must still be checked."""
+    _computation: int = 0
+    """Number of the job that computes the decision for which the planner waits; 0 if there is
+    none."""
+    _seen: Pose | None = None
+    """Pose of the object in the last image that shows it and that the planner's process received.
+    """
+    _received: dict[type, ArmState | TapperState] = field(default_factory=dict)
+    """Last states of arm and tapper that the planner's process received."""
     _is_crashed_cancelled: bool = False
     """Whether a person has cancelled the goal of the planner that crashed."""
     _tap_to_withdraw: int = 0
@@ -320,9 +333,10 @@ class InvariantChecker:
                     if self.confirmation is not None:
                         self.confirmation.on_tap(message)
                     self._check_goal_of(message.tap_id)
-                    # Check after the current event: only then has the checker processed the
-                    # observation on which the tap is based.
-                    self.scheduler.after(0.0, lambda: self._check_basis(message.tap_id))
+                    # Check after the planner has handled the current message: only then has the
+                    # checker processed the observation on which the tap is based.
+                    self._new_taps.append(message.tap_id)
+                    self.scheduler.after(0.0, self.check_new_taps)
         elif isinstance(message, TapperState) and node == "tapper_trigger":
             self._on_tapper_state(message)
         elif isinstance(message, TapperState) and message.outcome != TapperState.NONE:
@@ -722,14 +736,48 @@ class InvariantChecker:
             self.forbid_motion()
         self.unhomed_since = min(self.unhomed_since, self.scheduler.now)
 
+    def on_computing(self, job: int) -> None:
+        """Process that the planner begins to compute a decision."""
+        self._computation = job
+
+    def on_computed(self, job: int, acted: bool) -> None:
+        """Check that the planner acts only on the decision for which it waits."""
+        if acted and job != self._computation:
+            self.violate(
+                "late decision",
+                f"the planner acted on the decision of job {job}, for which it no longer waited",
+            )
+
+    def check_new_taps(self) -> None:
+        """Check the basis of the taps that the planner has commanded."""
+        taps, self._new_taps = self._new_taps, []
+        for tap_id in taps:
+            self._check_basis(tap_id)
+
     def _check_basis(self, tap_id: int) -> None:
         """Check that the planner commanded this tap while the observed object was at rest."""
+        self._check_planned_pose(tap_id, self._seen)
         if self.seen_moving:
             self.violate(
                 "planned while it moved",
                 f"tap {tap_id} was commanded although the object was observed in motion",
             )
         self._check_image(tap_id, self._image)
+
+    def _check_planned_pose(self, tap_id: int, seen: Pose | None) -> None:
+        """Check that the tap was planned for the pose that the planner's process last received."""
+        planned = from_message(self.commands[tap_id].object_pose)
+        if seen is None:
+            return
+        off, turned = planned.distance_to(seen), abs(planned.rotation_to(seen))
+        if off > MOVED_M + ROUNDING_S or turned > MOVED_RAD + ROUNDING_S:
+            self.violate(
+                "planned for another pose",
+                f"tap {tap_id} was commanded, but the planner last received the object"
+                f" {1e3 * off:.2f} mm and {math.degrees(turned):.2f} deg away from the pose for"
+                f" which the tap was planned (limits {1e3 * MOVED_M:g} mm and"
+                f" {math.degrees(MOVED_RAD):g} deg)",
+            )
 
     def _check_image(self, tap_id: int, exposed: float) -> None:
         """Check that the planner's last image of the tapped object was exposed after the last tap
@@ -762,6 +810,7 @@ class InvariantChecker:
             self._delays.popleft()
         if state.visible:
             self.seen_moving = not state.at_rest
+            self._seen = from_message(state.pose.pose)
 
     def _check_reference(self, message: ArmState) -> None:
         """Check that the arm's node does not report the arm as homed when the arm has no valid
@@ -888,6 +937,9 @@ class InvariantChecker:
 
     def on_state_received_by_planner(self, message: ArmState | TapperState) -> None:
         """Process a state of arm or tapper that the planner's process has handled."""
+        self._received[type(message)] = message
+        if self.confirmation is not None and isinstance(message, TapperState):
+            self.confirmation.on_tapper_state(message)
         # Not every state after a stop tells of it: a device that was started again does not report
         # its stop at first.
         stopped = ArmState.STOPPED if isinstance(message, ArmState) else TapperState.STOPPED
@@ -1050,6 +1102,10 @@ class InvariantChecker:
                 f" {self.deadlines[message.state] + WAIT_SLACK_S:g} s)",
             )
             self._plan_state_since = self.scheduler.now
+        if message.state != PlanState.PLANNING:
+            self._computation = 0
+        if message.state == PlanState.FAILED and before[0] != PlanState.FAILED:
+            self._check_cause(message.error_code)
         if message.state in ENDED:
             if self._goal is not None:
                 self._check_count("the planner reports", self._goal, message.taps)
@@ -1061,6 +1117,21 @@ class InvariantChecker:
         if message.state == PlanState.REACHED and before[0] != PlanState.REACHED:
             tolerance = message.position_tolerance, message.angle_tolerance
             self._check_claim("the planner reports", from_message(message.goal.pose), tolerance)
+
+    def _check_cause(self, code: int) -> None:
+        """Check that the goal did not fail because a device was busy if this device had told the
+        planner of an error."""
+        for kind, busy in (
+            (ArmState, ErrorCode.ARM_BUSY),
+            (TapperState, ErrorCode.TAPPER_BUSY),
+        ):
+            last = self._received.get(kind)
+            if code == busy and last is not None and last.error_code:
+                self.violate(
+                    "vague cause",
+                    f"the goal failed with code {code} (busy), but the last state that the planner"
+                    f" received reports code {last.error_code}: {last.error_msg}",
+                )
 
     def _check_time_limit(self) -> None:
         """Check that the present goal has not exceeded its time limit, also if the planner crashed

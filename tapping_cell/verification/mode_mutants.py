@@ -169,6 +169,31 @@ MODE_MUTANTS: tuple[Mutant, ...] = (
         ask=True,
     ),
     Mutant(
+        "keeps a confirmation of a tap that was refused",
+        CONFIRMATION,
+        "        if self.withdrawn:\n",
+        "        if False:\n",
+        kinds=("guard", "foreign outcome", "emergency stop"),
+        ask=True,
+    ),
+    Mutant(
+        "keeps a confirmation of a tap whose refusal came late",
+        PLANNER,
+        "        if shot.outcome == TapperState.NOT_FIRED and tapper.error_code",
+        "        if self.state in TAPPING and tapper.error_code",
+        kinds=("foreign outcome", "slow topic", "received by one"),
+        ask=True,
+    ),
+    Mutant(
+        "keeps a proposed tap although the object was moved",
+        PLANNER,
+        "        elif self._disturbed(shot, now):\n"
+        '            self._drop_proposal("an object was moved", now)\n',
+        "",
+        kinds=("object moved", "object turned"),
+        ask=True,
+    ),
+    Mutant(
         "ignores a change of ask",
         PLANNER,
         "        self._ask = ask\n        if",

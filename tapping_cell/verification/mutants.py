@@ -758,6 +758,14 @@ MUTANTS: tuple[Mutant, ...] = (
         "limit = self._settings.goal_time_limit",
         kinds=("kill",),
     ),
+    Mutant(
+        "reports every arm that is not ready as busy",
+        "tapping_cell.logic.cell_monitor",
+        "            return arm.error_code or ErrorCode.ARM_BUSY, "
+        'arm.error_msg or f"the arm is {doing}"\n',
+        '            return ErrorCode.ARM_BUSY, f"the arm is {doing}"\n',
+        kinds=("serial line", "motors off", "cable at a shot", "loss of power"),
+    ),
 )
 
 

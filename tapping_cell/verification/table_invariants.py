@@ -74,6 +74,8 @@ class Told:
     received: float = -math.inf
     """Time at which the planner's process last received that it was seen."""
     pose: Pose | None = None
+    newest: Pose | None = None
+    """Pose received last; ``pose`` differs from it by less than ``BUMP_M``."""
     at_rest: bool = False
     visible: bool = False
 
@@ -168,7 +170,7 @@ class TableInvariantChecker(InvariantChecker):
         if not state.visible:
             return
         told.seen, told.received = max(told.seen, exposed), self.scheduler.now
-        pose = from_message(state.pose.pose)
+        pose = told.newest = from_message(state.pose.pose)
         if told.pose is None or told.pose.distance_to(pose) > BUMP_M:
             told.pose, told.since = pose, self.scheduler.now
         if not state.error_code:
@@ -250,6 +252,7 @@ class TableInvariantChecker(InvariantChecker):
                 "planned while it moved",
                 f"tap {tap_id} was commanded although '{tapped}' was observed in motion",
             )
+        self._check_planned_pose(tap_id, known[tapped].newest)
         self._check_image(tap_id, known[tapped].seen)
         now, tip = self.scheduler.now, from_message(command.strike_pose)
         predicted = from_message(command.predicted_pose)

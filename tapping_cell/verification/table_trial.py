@@ -16,6 +16,7 @@ from tapping_cell.messages import (
     ErrorCode,
     ObjectGoal,
     ObjectState,
+    PlanState,
     PoseStamped,
     PositionObject,
     TapCommand,
@@ -24,7 +25,7 @@ from tapping_cell.planning import FreeSpace
 from tapping_cell.se2 import Pose
 from tapping_cell.simulation.truth import TruthFile
 from tapping_cell.verification.causes import AT_ONCE_S
-from tapping_cell.verification.faults import ALL, Mix
+from tapping_cell.verification.faults import ALL, MOMENTS, Mix, moment_name
 from tapping_cell.verification.table_camera import TableCamera
 from tapping_cell.verification.table_cell import HALF_LENGTH_M, HALF_WIDTH_M, PhysicalTable
 from tapping_cell.verification.table_faults import TABLE_AT_A_SHOT, TABLE_CAUSES, TABLE_MAKERS
@@ -47,6 +48,8 @@ apart."""
 CENTRAL_M = (0.1, 0.06)
 """Largest |x| and |y| of the area in which the goals that are not near their objects lie, m."""
 TRIES = 40
+SHARE_OF_OTHER_OBJECTS = 0.5
+"""Fraction of the second client's goals that are action goals of another object."""
 
 
 class _GoalHandling(GoalHandling):
@@ -72,6 +75,8 @@ class TableTrial(Trial):
     goal_handling = _GoalHandling
     makers = TABLE_MAKERS
     at_a_shot = TABLE_AT_A_SHOT
+    # In a cell with several objects, a job computes the decision, which takes some time.
+    moments = (*MOMENTS, moment_name("plan_state", PlanState.PLANNING))
     has_set_up, has_confirmation = False, False
     further_causes = TABLE_CAUSES
 
@@ -82,6 +87,7 @@ class TableTrial(Trial):
         self._goal_rng = np.random.default_rng([seed, 21])
         count = 1 + int(self._goal_rng.integers(len(NAMES)))
         self._names = NAMES[:count]
+        self._second_rng = np.random.default_rng([seed, 24])
         self._asked = Asked({})
         self._arranged_in_order = False
         self._may_move: tuple[str, ...] = ()
@@ -170,16 +176,35 @@ class TableTrial(Trial):
                 return goal
         return here
 
+    def send_goal(self, goal: Pose, foreign: bool = False) -> None:
+        """Send an action goal to the planner if the planner's process is running. ``foreign``: send
+        the goal of a second client instead; it is for the cell's own object or another one."""
+        rng, process = self._second_rng, self.processes["tap_planner"]
+        other = foreign and process.alive and rng.random() < SHARE_OF_OTHER_OBJECTS
+        if not other:
+            super().send_goal(goal, foreign)
+            return
+        name = self._names[int(rng.integers(len(self._names)))]
+        index = self.checker.on_goal_sent(goal, by_topic=False)
+        self.checker.asked[index] = Asked({name: goal})
+        message = PoseStamped(pose=to_message(goal))
+        message.header.frame_id = "table"
+        request = self._goal_for(name, message)
+        self._note(f"a second client's goal for '{name}': {goal}")
+        process.request(
+            "position_object",
+            request,
+            ("second client", index),
+            lambda result: self.checker.check_result(index, result, self.cell.tolerance),
+        )
+
     def _request(self, index: int, message: PoseStamped) -> tuple[str, Any]:
         asked = self._asked
         if not asked.arrangement:
             (name,) = asked.goals
             if name != self.cell.object.name:
                 self.checker.asked[index] = asked
-            goal = PositionObject.Goal(goal_pose=message, object_id=name)
-            goal.time_limit = self.settings.goal_time_limit
-            goal.max_taps = self.tap_limit
-            return "position_object", goal
+            return "position_object", self._goal_for(name, message)
         self.checker.asked[index] = asked
         goals = []
         for name, pose in asked.goals.items():
@@ -193,10 +218,18 @@ class TableTrial(Trial):
             max_taps=self.tap_limit,
         )
 
+    def _goal_for(self, name: str, message: PoseStamped) -> PositionObject.Goal:
+        return PositionObject.Goal(
+            goal_pose=message,
+            object_id=name,
+            time_limit=self.settings.goal_time_limit,
+            max_taps=self.tap_limit,
+        )
+
     def _is_explained(self, code: int, struck: set[str]) -> bool:
         if code == ErrorCode.OBJECT_NOT_SEEN and not self._needed_object_removed():
             struck = struck - {"other object removed"}
-        if code == ErrorCode.NO_ARRANGEMENT and self._asked.arrangement and self._has_edge_goal():
+        if code == ErrorCode.NO_ARRANGEMENT and self._has_edge_goal():
             return True
         return super()._is_explained(code, struck)
 

@@ -404,10 +404,15 @@ class Trial:
             self.checker.arm_runs_since = lambda: arm.runs_since
         self.checker.inactive_since = lambda name: self.processes[name].inactive_since
         self.checker.planner_frozen_until = lambda: self.processes["tap_planner"].frozen_until
+        planner = self.processes["tap_planner"]
+        planner.on_computing, planner.on_computed = (
+            self.checker.on_computing,
+            self.checker.on_computed,
+        )
         self.checker.goal_time_limit = self.settings.goal_time_limit
         self.checker.tap_limit = self.tap_limit
         for process in self.processes.values():
-            process.on_handled = self._on_handled
+            process.on_handled = self._after_handling
             process.on_asked = self._on_asked
             process.on_requested = self._on_requested
             process.on_log = self._on_log
@@ -1419,6 +1424,11 @@ class Trial:
         self.checker.on_asked(process, job, answer)
         if job == "fire":
             self._reached(CHECKED)
+
+    def _after_handling(self, process: str, topic: str, message: Any) -> None:
+        self._on_handled(process, topic, message)
+        if process == "tap_planner":
+            self.checker.check_new_taps()
 
     def _on_handled(self, process: str, topic: str, message: Any) -> None:
         now = self.scheduler.now
