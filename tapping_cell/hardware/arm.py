@@ -156,8 +156,8 @@ class ArmDriver:
                 sent = self._transport.stop(self._dialect.opening_stop_bytes)
                 if not self._stopped.is_set():
                     self._transport.release()
-                # If the port was lost again, the next attempt sends the stop.
-                self._stops_when_opened = not sent and not self._transport.is_open
+                # If the stop was not sent completely, the next attempt sends it.
+                self._stops_when_opened = not sent
             if self._firmware is not None:
                 self.counters.reconnects += 1
             firmware = self._dialect.connect(self._transport.now() + timeout)

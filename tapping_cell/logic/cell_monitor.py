@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Mapping
 
 from tapping_cell.logic import enabling
 from tapping_cell.logic.clock import Now, to_nanoseconds
@@ -15,7 +16,6 @@ from tapping_cell.messages import (
     ObjectState,
     ObjectStates,
     TapperState,
-    Time,
 )
 from tapping_cell.se2 import Pose
 
@@ -120,24 +120,38 @@ class CellMonitor:
         self.arm = message
         self._received["arm"] = now.steady
         self._clocks["arm"].receive(message.header.stamp, now)
-        return self._new_stop("arm", ErrorCode.ARM_STOPPED, message.last_stop)
+        return self._new_stop("arm", to_nanoseconds(message.last_stop))
 
     def on_tapper(self, message: TapperState, now: Now) -> CodedError | None:
         """Process ``tapper_state``. Return the error of a stop since the last message, or None."""
         self.tapper = message
         self._received["tapper"] = now.steady
         self._clocks["tapper"].receive(message.header.stamp, now)
-        return self._new_stop("tapper", ErrorCode.TAPPER_STOPPED, message.last_stop)
+        return self._new_stop("tapper", to_nanoseconds(message.last_stop))
 
-    def _new_stop(self, name: str, code: int, last_stop: Time) -> CodedError | None:
+    def _new_stop(self, name: str, stamp: int) -> CodedError | None:
         """Return the error of a stop since the last message, even if the messages with the state
-        STOPPED were missed. A restarted node reports no time until it is stopped again."""
-        stamp = to_nanoseconds(last_stop)
+        STOPPED were missed. ``stamp``: reported time of the last stop, ns; a restarted node reports
+        0 until it is stopped again."""
         known = self._stops.setdefault(name, {0, stamp})
         if stamp in known:
             return None
         known.add(stamp)
+        code = ErrorCode.ARM_STOPPED if name == "arm" else ErrorCode.TAPPER_STOPPED
         return code, f"the {name} was stopped; make the cell safe, then send the goal again"
+
+    def known_stops(self) -> dict[str, list[int]]:
+        """Return the times (ns) of all stops that arm and tapper have reported; 0 for no stop."""
+        return {name: sorted(stamps) for name, stamps in self._stops.items()}
+
+    def recall_stops(self, stops: Mapping[str, Iterable[int]]) -> CodedError | None:
+        """Set the stops that a former process knew (see ``known_stops``). Every other one is new,
+        also that in the first message. Return the error of a new one that was already received, or
+        None."""
+        received = self._stops
+        self._stops = {name: {0, *stamps} for name, stamps in stops.items()}
+        errors = [self._new_stop(name, one) for name in received for one in received[name]]
+        return next((error for error in errors if error is not None), None)
 
     def silent(self, name: str, now: Now) -> bool:
         """Return whether the message timeout of ``object``, ``arm`` or ``tapper`` has passed."""

@@ -319,12 +319,21 @@ class DeviceLogic(ABC, Generic[State, Event]):
         self, error: Exception, now: Now, unanswered: UnansweredRequest | None = None
     ) -> Sequence[Effect]:
         """Stop the device and report INTERNAL after a handler has raised ``error``."""
-        self._effects.clear()
+        # A stop that the handler has already processed is still stored, and requests that it has
+        # already answered receive no other answer.
+        self._effects = [
+            effect
+            for effect in self._effects
+            if isinstance(effect, Answer | AbandonJob)
+            or (isinstance(effect, KeepStop) and effect.content is not None)
+        ]
         self._effects.append(StopWire())
         self._defect(error, now)
         if unanswered is not None:
-            response = self._failure(unanswered.service, self._error[1])
-            self._effects.append(Answer(unanswered.token, response))
+            answered = [effect.token for effect in self._effects if isinstance(effect, Answer)]
+            if unanswered.token not in answered:
+                response = self._failure(unanswered.service, self._error[1])
+                self._effects.append(Answer(unanswered.token, response))
         return self._drain(now)
 
     # Helpers for the devices

@@ -301,6 +301,7 @@ class PlannerLogic:
             # The node is deactivated or shut down. The remaining lifecycle event, Unreachable, does
             # not occur, because the planner has no device.
             self._active = False
+            self._resumed = None
             if self._task is not None:
                 sentence = "the planner was deactivated"
                 self._fail(ErrorCode.NOT_ACTIVE, sentence, now)
@@ -393,7 +394,7 @@ class PlannerLogic:
         assert isinstance(event, JobEnded)
         if event.fault is not None:
             raise event.fault
-        if task.outdated(self._monitor, *self._moved_limits):
+        if task.outdated(self._monitor, *self._moved_limits) or self._obstacles_changed(task):
             deadline = self._settings.observe_deadline
             self._enter(Event.OBSERVATION_REQUESTED, S.LOOKING, now, deadline)
         else:
@@ -417,9 +418,9 @@ class PlannerLogic:
         self, error: Exception, now: Now, unanswered: UnansweredRequest | None = None
     ) -> Sequence[Effect]:
         """End the tap and the goal after a handler has raised ``error``."""
-        # The answers that the handler has already given are sent, because no other answers to these
-        # requests follow.
-        self._effects = [effect for effect in self._effects if isinstance(effect, Answer)]
+        # What the handler has already decided still takes effect, for example a withdrawal or an
+        # answer, because it is not repeated. Only nothing new begins.
+        self._effects = [effect for effect in self._effects if not _begins(effect)]
         self._end_tap(now)
         sentence = _internal_error(error)
         if self._task is not None:
@@ -427,6 +428,7 @@ class PlannerLogic:
         elif self._configured:
             # The handler may have ended a goal that is still stored.
             self._effects.append(KeepGoal(None))
+            self._report(now, self.last.error_code, self.last.error_msg)
         if unanswered is not None:
             answered = [effect.token for effect in self._effects if isinstance(effect, Answer)]
             if unanswered.token not in answered:
@@ -521,6 +523,7 @@ class PlannerLogic:
         self._resumed = None  # a goal that arrives before the resumption is newer
         self._is_resumed = False
         self._view_cleared = False
+        self._struck_at = math.inf
         self._monitor.watch(task.object_id if isinstance(task, ArrangementTask) else "")
         self._keep_goal(task, now)
         self._log(LogLevel.INFO, task.description())
@@ -557,6 +560,7 @@ class PlannerLogic:
                 "kept_at": now.steady,
                 "ask": self._asks(task),
                 "object_id": task.object_id,
+                "stops": self._monitor.known_stops(),
             }
             self._effects.append(KeepGoal(content))
 
@@ -590,14 +594,16 @@ class PlannerLogic:
             most, ask = int(kept["max_taps"]), bool(kept["ask"])
             name = str(kept["object_id"])
             taps = int(kept.get("taps", 0))  # earlier versions did not store it
+            stops = {name: [int(one) for one in known] for name, known in kept["stops"].items()}
             if not 0 <= taps <= most:
                 raise ValueError(taps)
-        except (KeyError, TypeError, ValueError, OverflowError):
+        except (AttributeError, KeyError, TypeError, ValueError, OverflowError):
             self._log(
                 LogLevel.WARNING,
                 "the goal saved before the planner's crash cannot be read; send the goal again",
             )
             return
+        self._stop_reported = self._stop_reported or self._monitor.recall_stops(stops)
         message.header.frame_id = "table"
         self._resumed = Request(
             message,
@@ -1084,9 +1090,15 @@ class PlannerLogic:
         if self._monitor.seen_away_from(shot.before, *limits):
             return True
         if isinstance(self._task, ArrangementTask):
-            obstacles_changed = self._task.obstacles != self.goals.other_objects.unknown
-            return obstacles_changed or self._task.others_moved(self._monitor, *limits)
+            moved = self._task.others_moved(self._monitor, *limits)
+            return moved or self._obstacles_changed(self._task)
         return self.goals.others_moved(now)
+
+    def _obstacles_changed(self, task: Task) -> bool:
+        """Return whether the areas of unknown objects differ from those of the last decision."""
+        if not isinstance(task, ArrangementTask):
+            return False
+        return task.obstacles != self.goals.other_objects.unknown
 
     def _give_up(self, outcome: int, now: Now) -> None:
         """Give up the tap under way and have the arm withdraw. ``outcome``: outcome of the tap
@@ -1191,28 +1203,28 @@ class PlannerLogic:
         event = {S.FAILED: Event.GOAL_FAILED, S.CANCELED: Event.GOAL_CANCELED}.get(
             state, Event.GOAL_MET
         )
-        self._machine.move(event, state)
+        if self.state in WORKING:  # not if a defect has interrupted this method before
+            self._machine.move(event, state)
         self._proposed = self._confirmed = None
         if self._shot is not None:
             task.lose(self._shot)
         task.end(code, sentence)
         self._report(now, code, sentence)
-        seen = self._monitor.object
+        if task.token is not None:
+            result = task.result(code, sentence, self.last, self._monitor.object)
+            self._effects.append(Answer(task.token, result))
         self._task = self._shot = None
         self._monitor.watch("")
         self._park(now)
         self._effects.append(KeepGoal(None))
-        try:
-            self.goals.learn(task)
-        except OSError as error:
-            self._log(LogLevel.WARNING, f"the learnt gains of the object were not saved: {error}")
         if code:
             self._log(LogLevel.ERROR, f"goal ended ({code}): {sentence}")
         else:
             self._log(LogLevel.INFO, f"goal done after {task.taps} taps")
-        if task.token is not None:
-            result = task.result(code, sentence, self.last, seen)
-            self._effects.append(Answer(task.token, result))
+        try:
+            self.goals.learn(task)
+        except OSError as error:
+            self._log(LogLevel.WARNING, f"the learnt gains of the object were not saved: {error}")
 
     # Reports
 
@@ -1282,6 +1294,13 @@ class PlannerLogic:
     def _drain(self) -> Sequence[Effect]:
         effects, self._effects = self._effects, []
         return effects
+
+
+def _begins(effect: Effect) -> bool:
+    """Return whether the effect begins a motion, a tap or a computation."""
+    if isinstance(effect, Publish) and effect.topic == "tap_command":
+        return bool(effect.message.request != TapCommand.WITHDRAW)
+    return isinstance(effect, RunJob)
 
 
 def _internal_error(error: Exception) -> str:

@@ -9,6 +9,7 @@ from functools import cache
 from typing import Any
 
 import pytest
+from test_objects_without_a_file import square_at
 from test_planner_with_played_devices import COVARIANCE, FAST, shipped
 from virtual_node import VirtualNode
 
@@ -39,6 +40,7 @@ from tapping_cell.messages import (
     ObjectState,
     ObjectStates,
     PlanState,
+    Polygon,
     PoseStamped,
     PositionObject,
     TapCommand,
@@ -85,6 +87,7 @@ class Table(VirtualNode):
         self.names = [cell.object.name, *(file.name for file in files())]
         self.poses = dict(zip(self.names, places, strict=True))
         self.hidden: set[str] = set()
+        self.unknown: list[Polygon] = []
         self.seldom: set[str] = set()
         """Objects that the camera observes only every 1.2 s."""
         self.measured: dict[str, ObjectState] = {}
@@ -146,7 +149,10 @@ class Table(VirtualNode):
             states.append(state)
             self.measured[name] = state
         self.publish("object_state", states[0])
-        self.publish("object_states", ObjectStates(objects=states))
+        self.publish(
+            "object_states",
+            ObjectStates(objects=states, unknown_objects=self.unknown, unknown_searched_at=stamp),
+        )
         idle = self.arm_state == ArmState.IDLE
         tap_id = self.tap.tap_id if self.tap is not None else 0
         arm = ArmState(
@@ -377,6 +383,19 @@ def test_no_tap_is_commanded_if_an_object_was_moved_during_the_decision(
     before = cell.poses[one]
     assert cell.end().error_code == ErrorCode.NONE
     assert from_message(cell.taps[0].object_pose).distance_to(before) < 1e-9
+
+
+def test_no_tap_is_commanded_if_an_unknown_object_appears_during_the_decision(
+    cell: Table, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(host, "COMPUTING_S", (0.5, 0.5))
+    one = cell.names[0]
+    cell.send({one: moved(cell.poses[one], 0.02, 0.0)})
+    cell.wait(lambda: cell.process.logic.state is State.PLANNING, "the first decision")
+    cell.unknown = [square_at(*moved(cell.poses[one], 0.0, 0.09)[:2])]
+    cell.wait(lambda: cell.process.logic.state is not State.PLANNING, "the end of the decision")
+    assert cell.process.logic.state is State.LOOKING and cell.taps == []
+    assert cell.end().error_code == ErrorCode.NONE
 
 
 def test_an_object_moved_by_hand_before_the_tap_cancels_the_tap(cell: Table) -> None:

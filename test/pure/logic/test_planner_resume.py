@@ -15,7 +15,7 @@ from tapping_cell.configuration.cell import load_cell
 from tapping_cell.logic.clock import Now
 from tapping_cell.logic.effects import Answer, Content, Effect, KeepGoal, Publish
 from tapping_cell.logic.goal_handling import GoalHandling
-from tapping_cell.logic.host import Activated, Configured
+from tapping_cell.logic.host import Activated, Configured, Deactivated
 from tapping_cell.logic.other_objects import OtherObjects
 from tapping_cell.logic.planner import PlannerLogic, State
 from tapping_cell.logic.planner_settings import PlannerSettings
@@ -29,6 +29,7 @@ from tapping_cell.messages import (
     PoseStamped,
     PositionObject,
     TapperState,
+    Time,
     Trigger,
 )
 from tapping_cell.se2 import Pose
@@ -40,6 +41,7 @@ GOAL = {
     "time_left": 60.0,
     "object_id": "",
     "ask": True,
+    "stops": {},
 }
 FAR = Pose(0.08, 0.02, 0.25)
 NOW = Now(100.0, 1_800_000_000_000_000_000)
@@ -60,11 +62,17 @@ def goals() -> GoalHandling:
 
 
 def started(
-    kept: Content | None, age: float = 1.0, received: Sequence[tuple[str, Any]] = ()
+    kept: Content | None,
+    age: float = 1.0,
+    received: Sequence[tuple[str, Any]] = (),
+    early: Sequence[tuple[str, Any]] = (),
 ) -> tuple[PlannerLogic, list[Effect]]:
-    """Start a planner that receives the messages ``received`` before it is activated."""
+    """Start a planner that receives the messages ``early`` before it is configured, and
+    ``received`` before it is activated."""
     logic = PlannerLogic(PlannerSettings())
     event = Configured(goals().cell, goals(), kept_goal=kept, kept_goal_age=age)
+    for topic, message in early:
+        logic.on_message(topic, message, NOW)
     made = [*logic.on_lifecycle(event, NOW)]
     for topic, message in received:
         made += logic.on_message(topic, message, NOW)
@@ -214,6 +222,39 @@ def test_a_goal_is_not_resumed_after_a_stop(received: list[tuple[str, Any]], cod
     assert [report.error_code for report in reports] == [code]
 
 
+@pytest.mark.parametrize("configured", [False, True])
+@pytest.mark.parametrize(("stored", "stopped_again"), [(None, True), (7, False), (5, True)])
+def test_a_stop_that_was_cleared_while_no_planner_ran_ends_the_goal(
+    stored: int | None, stopped_again: bool, configured: bool
+) -> None:
+    stops = {"tapper": [0] if stored is None else [0, stored * 10**9]}
+    state = TapperState(state=TapperState.SAFE, last_stop=Time(sec=7))
+    received = [("tapper_state", state)]
+    early = [] if configured else received
+    logic, _ = started({**GOAL, "stops": stops}, received=received, early=early)
+    if stopped_again:
+        assert logic.state is State.FAILED
+        assert logic.last.error_code == ErrorCode.TAPPER_STOPPED
+    else:
+        assert logic.state is State.WAITING_FOR_CELL
+
+
+def test_the_stops_that_the_planner_knows_are_stored_with_its_goal() -> None:
+    state = ArmState(state=ArmState.IDLE, last_stop=Time(sec=7))
+    _, made = started(GOAL, received=[("arm_state", state)])
+    kept = [e.content for e in made if isinstance(e, KeepGoal)][-1]
+    assert kept is not None and kept["stops"] == {"arm": [0, 7 * 10**9]}
+
+
+def test_a_goal_is_not_resumed_after_a_deactivation() -> None:
+    logic = PlannerLogic(PlannerSettings())
+    event = Configured(goals().cell, goals(), kept_goal=GOAL, kept_goal_age=1.0)
+    for lifecycle in (event, Activated(), Deactivated(), Activated()):
+        logic.on_lifecycle(lifecycle, NOW)
+    logic.on_tick(NOW)
+    assert logic.state is State.IDLE
+
+
 def test_homing_does_not_continue_the_goal_of_a_crashed_planner() -> None:
     unhomed = ArmState(
         state=ArmState.NOT_HOMED, error_code=ErrorCode.ARM_NOT_HOMED, error_msg="home the arm"
@@ -289,8 +330,11 @@ def test_an_old_goal_is_not_resumed() -> None:
         {**GOAL, "taps": "some"},
         {**GOAL, "taps": -1},
         {**GOAL, "taps": 21},
+        {**GOAL, "stops": 5},
+        {**GOAL, "stops": {"arm": 7}},
+        {**GOAL, "stops": {"arm": ["then"]}},
     ],
-    ids=range(13),
+    ids=range(16),
 )
 def test_stored_content_without_a_goal_is_discarded(content: dict[str, Any]) -> None:
     logic, made = started(content)

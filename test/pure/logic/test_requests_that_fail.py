@@ -12,7 +12,7 @@ from tapping_cell.logic.arm import ArmLogic, ArmOptions
 from tapping_cell.logic.clock import Now
 from tapping_cell.logic.effects import Answer
 from tapping_cell.logic.host import UnansweredRequest
-from tapping_cell.logic.planner import PlannerLogic
+from tapping_cell.logic.planner import PlannerLogic, State
 from tapping_cell.logic.poses import to_message
 from tapping_cell.logic.tapper import TapperLogic, TapperOptions
 from tapping_cell.messages import (
@@ -26,6 +26,7 @@ from tapping_cell.messages import (
     PositionObject,
     SetBool,
     SingleTap,
+    TapCommand,
 )
 from tapping_cell.planning import PlanningError
 from tapping_cell.se2 import Pose
@@ -187,3 +188,41 @@ def test_a_defect_at_the_start_of_a_goal_answers_both_clients(
     assert [one.error_code for one in clients.first] == [ErrorCode.GOAL_REPLACED]
     assert [one.error_code for one in second] == [ErrorCode.INTERNAL]
     assert clients.process.disk.goal is None, "neither goal is resumed after a crash"
+
+
+@pytest.mark.parametrize("fails", ["_report", "_park"])
+def test_a_tap_is_withdrawn_if_the_cancellation_of_its_goal_raises(
+    monkeypatch: pytest.MonkeyPatch, fails: str
+) -> None:
+    clients = Clients()
+    logic = clients.process.logic
+    shipped, raised = getattr(logic, fails), []
+
+    def fail(*arguments: Any) -> Any:
+        if not raised and logic.state is State.CANCELED:
+            raised.append(fails)
+            raise ZeroDivisionError("defect")
+        return shipped(*arguments)
+
+    monkeypatch.setattr(logic, fails, fail)
+    (tap,) = clients.taps()
+    clients.process.request("cancel", None, 1, lambda _: None, waits=False)
+    clients.run(0.02)
+    withdrawn = [one.tap_id for one in clients.commands if one.request == TapCommand.WITHDRAW]
+    assert raised and tap.tap_id in withdrawn
+    assert clients.first, "the client has received the result of its goal"
+
+
+def test_a_goal_ends_as_usual_if_its_gains_cannot_be_learnt(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    clients = Clients()
+
+    def fail(*_: Any) -> None:
+        raise ZeroDivisionError("defect")
+
+    monkeypatch.setattr(clients.process.logic.goals, "learn", fail)
+    clients.wait(lambda: clients.first, "the client's result")
+    assert clients.first[0].error_code == ErrorCode.NONE
+    clients.run(0.02)
+    assert clients.plans[-1].state == PlanState.REACHED
