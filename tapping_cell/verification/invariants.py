@@ -301,6 +301,9 @@ class InvariantChecker:
     """Stamps (ns) of the states that arm and tapper have published since they were stopped during
     the present goal. Each of these states must tell the planner of the stop, because the planner
     may miss the other ones."""
+    _told_of_stop: bool = False
+    """Whether the planner's process has received since its start, without a goal, that the cell,
+    the arm or the tapper was stopped during the goal of the planner that crashed."""
     _stopped: set[str] = field(default_factory=set)
     """Those of arm and tapper that were stopped during the present goal."""
     _image: float = -math.inf
@@ -757,6 +760,12 @@ class InvariantChecker:
     def _check_basis(self, tap_id: int) -> None:
         """Check that the planner commanded this tap while the observed object was at rest."""
         self._check_planned_pose(tap_id, self._seen)
+        if math.isinf(self._image):
+            self.violate(
+                "planned without a view",
+                f"tap {tap_id} was commanded although the planner's last image does not show the"
+                " object",
+            )
         if self.seen_moving:
             self.violate(
                 "planned while it moved",
@@ -906,6 +915,7 @@ class InvariantChecker:
         goal."""
         self.planner_gone_since = self.scheduler.now
         self._tap_to_withdraw = 0
+        self._told_of_stop = False
         self._delays.clear()
         if self.confirmation is not None:
             self.confirmation.on_planner_ended()
@@ -952,6 +962,7 @@ class InvariantChecker:
 
     def on_stop_received_by_planner(self) -> None:
         """Process that the planner's process has handled the message of a stop."""
+        self._told_of_stop = True
         if self._goal is not None:
             self.violate(
                 "goal outlives a stop",
@@ -972,11 +983,15 @@ class InvariantChecker:
             self.violate("goal of nobody", f"the planner began the goal {pose}, which nobody sent")
             found = [self.on_goal_sent(pose, by_topic=True)]
         self._goal = found[-1]
+        resumed = self._crashed is not None and self._crashed[0] == self._goal
         if self.confirmation is not None:
-            resumed = self._crashed is not None and self._crashed[0] == self._goal
             self.confirmation.on_goal_begun(self._goal, resumed)
-        self._stops.clear()
-        self._stopped.clear()
+        if not resumed:
+            self._stops.clear()
+            self._stopped.clear()
+        elif self._told_of_stop:
+            # The planner ends the goal in the same handler.
+            self.scheduler.after(0.0, self.on_stop_received_by_planner)
         crashed = self._crashed
         if crashed is not None and crashed[0] == self._goal and self._is_crashed_cancelled:
             self.violate(

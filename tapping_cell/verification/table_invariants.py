@@ -247,6 +247,12 @@ class TableInvariantChecker(InvariantChecker):
         tapped = command.object_id or self._table.own
         known = {name: self._known(name, tapped) for name in self._table.table.worlds}
         arranged = self._sources()[0] == "object_states"
+        if not known[tapped].visible:
+            self.violate(
+                "planned without a view",
+                f"tap {tap_id} was commanded although the planner's last image does not show"
+                f" '{tapped}'",
+            )
         if not known[tapped].at_rest:
             self.violate(
                 "planned while it moved",
