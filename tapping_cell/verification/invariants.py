@@ -126,6 +126,8 @@ OUTCOME_S = 1.0
 s."""
 ENDED = (PlanState.IDLE, PlanState.REACHED, PlanState.FAILED, PlanState.CANCELED)
 """States of the planner without a goal."""
+NOT_CLEAR = (ArmState.HOMING, ArmState.MOVING, ArmState.IN_POSITION, ArmState.WITHDRAWING)
+"""States in which the arm must not be reported clear of the camera."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -352,6 +354,11 @@ class InvariantChecker:
             self._arm = message.state, message.tap_id
             self._check_reference(message)
             self._check_view(message)
+            if message.clear_of_camera and message.state in NOT_CLEAR:
+                state = _ARM_STATES[message.state]
+                self.violate(
+                    "false view", f"the arm is reported clear of the camera in state {state}"
+                )
             self._note_stop(node, message, message.state == ArmState.STOPPED)
             if message.state == ArmState.IDLE or message.error_code == ErrorCode.NOT_ACTIVE:
                 self._asked_to_move = False
