@@ -126,6 +126,10 @@ OUTCOME_S = 1.0
 s."""
 ENDED = (PlanState.IDLE, PlanState.REACHED, PlanState.FAILED, PlanState.CANCELED)
 """States of the planner without a goal."""
+GAVE_UP = "no longer waits"
+"""Part of the tapper's error message for a tap whose planner no longer waits for it."""
+ACTIVATED_S = 0.5
+"""Maximum time for which the arm still reports that its node is not active, s."""
 NOT_CLEAR = (ArmState.HOMING, ArmState.MOVING, ArmState.IN_POSITION, ArmState.WITHDRAWING)
 """States in which the arm must not be reported clear of the camera."""
 
@@ -294,6 +298,12 @@ class InvariantChecker:
     """
     _received: dict[type, ArmState | TapperState] = field(default_factory=dict)
     """Last states of arm and tapper that the planner's process received."""
+    _told_inactive: float = math.inf
+    """Time since which the arm has reported that its node is not active, although it is."""
+    _tapping_received: float = -math.inf
+    """Time at which the tapper's process last received that the planner waits for its tap."""
+    _first_taken: dict[int, float] = field(default_factory=dict)
+    """For each tap, the time at which the tapper's process first received its command."""
     _is_crashed_cancelled: bool = False
     """Whether a person has cancelled the goal of the planner that crashed."""
     _tap_to_withdraw: int = 0
@@ -354,6 +364,7 @@ class InvariantChecker:
             self._arm = message.state, message.tap_id
             self._check_reference(message)
             self._check_view(message)
+            self._check_inactive(message.error_code)
             if message.clear_of_camera and message.state in NOT_CLEAR:
                 state = _ARM_STATES[message.state]
                 self.violate(
@@ -372,6 +383,19 @@ class InvariantChecker:
             and node in ("scara_arm", "tapper_trigger")
         ):
             self.set_up.on_state(message)
+
+    def _check_inactive(self, code: int) -> None:
+        """Check that the arm does not report that its node is inactive while it is active."""
+        now, active = self.scheduler.now, math.isinf(self.inactive_since("scara_arm"))
+        told = active and code == ErrorCode.NOT_ACTIVE
+        self._told_inactive = min(self._told_inactive, now) if told else math.inf
+        if now > self._told_inactive + ACTIVATED_S:
+            self.violate(
+                "reported inactive",
+                f"the arm's node has reported for {now - self._told_inactive:.1f} s that it is not"
+                " active, but it is",
+            )
+            self._told_inactive = now
 
     def after_event(self) -> None:
         """Check the invariants of releases, charging and motion after an event."""
@@ -459,6 +483,7 @@ class InvariantChecker:
         """Process a TAP command that the tapper's process received."""
         self.planner_waits, self.planner_gave_up = False, math.inf
         self.taken_by_tapper.setdefault(command.tap_id, []).append(command)
+        self._first_taken.setdefault(command.tap_id, self.scheduler.now)
         ahead = to_seconds(command.header.stamp) - 1e-9 * self.tapper_clock.now().ros
         if ahead > CLOCK_TOLERANCE_S + ROUNDING_S:
             self.future_commands.add(command.tap_id)
@@ -468,6 +493,7 @@ class InvariantChecker:
         the planner says that it waits for its tap."""
         if tapping:
             self.planner_waits, self.planner_gave_up = True, math.inf
+            self._tapping_received = self.scheduler.now
         elif self.planner_waits:
             self.planner_gave_up = min(self.planner_gave_up, self.scheduler.now)
 
@@ -1087,6 +1113,13 @@ class InvariantChecker:
     def _on_tapper_state(self, message: TapperState) -> None:
         self._report = message
         self._note_stop("tapper_trigger", message, message.state == TapperState.STOPPED)
+        waited_for = self._tapping_received > self._first_taken.get(message.tap_id, -math.inf)
+        if GAVE_UP in message.error_msg and not waited_for:
+            self.violate(
+                "false reason",
+                f"tap {message.tap_id} ended because the planner no longer waits for it, but the"
+                " tapper has not received that a planner waited for it",
+            )
         fired = any(release.shot == message.tap_id for release in self.physical.releases)
         if message.tap_id and message.outcome != TapperState.NONE:
             before = self.outcomes.get(message.tap_id, message.outcome)

@@ -591,8 +591,8 @@ MUTANTS: tuple[Mutant, ...] = (
     Mutant(
         "accepts goals after its deactivation",
         "tapping_cell.logic.planner",
-        "            self._active = False\n            if self._task is not None:\n",
-        "            if self._task is not None:\n",
+        "            self._active = False\n            self._resumed = None\n",
+        "            self._resumed = None\n",
         kinds=("deactivate", "second client"),
     ),
     Mutant(
@@ -765,6 +765,28 @@ MUTANTS: tuple[Mutant, ...] = (
         'arm.error_msg or f"the arm is {doing}"\n',
         '            return ErrorCode.ARM_BUSY, f"the arm is {doing}"\n',
         kinds=("serial line", "motors off", "cable at a shot", "loss of power"),
+    ),
+    Mutant(
+        "loses an activation that arrives before the abandoned motion has ended",
+        "tapping_cell.logic.arm",
+        "        self._error = INACTIVE_ERROR\n        if self._active:\n"
+        "            self._activated(now)\n",
+        "        self._error = INACTIVE_ERROR\n",
+        kinds=("deactivate",),
+    ),
+    Mutant(
+        "takes the planner's state after the last tap for that of the new tap",
+        "tapping_cell.logic.tapper_peers",
+        "        self._planners_tap = False\n        self._arm_keys = set()",
+        "        self._arm_keys = set()",
+        kinds=("slow topic", "freeze", "foreign command"),
+    ),
+    Mutant(
+        "resumes a goal although the cell was stopped while no planner ran",
+        "tapping_cell.logic.planner",
+        "        self._stop_reported = self._stop_reported or self._monitor.recall_stops(stops)\n",
+        "",
+        kinds=("kill", "stop service", "stop and reset", "emergency stop"),
     ),
 )
 

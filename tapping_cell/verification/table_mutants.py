@@ -110,8 +110,8 @@ TABLE_MUTANTS: tuple[Mutant, ...] = (
     Mutant(
         "decides on objects that were moved during the decision",
         PLANNER,
-        "        if task.outdated(self._monitor, *self._moved_limits):\n",
-        "        if False:\n",
+        "        if task.outdated(self._monitor, *self._moved_limits) or",
+        "        if",
         kinds=("other object moved", "object moved"),
         several=True,
     ),
