@@ -140,7 +140,10 @@ EXPLAINED_BY: dict[int, frozenset[str]] = {
     ErrorCode.ARM_FIRMWARE_UNKNOWN: ARM_LINE | ARM_POWER | ARM_ENDS,
     ErrorCode.ARM_ALARM: ARM_LINE | ARM_POWER | FREEZES,
     ErrorCode.ARM_REPLY_GARBLED: ARM_LINE,
-    ErrorCode.ARM_TIMEOUT: DELAYS | POWER | {"foreign trajectory", "unreported trajectory"},
+    # A withdrawal that arrives just before a tap begins a motion, so the arm refuses the tap.
+    ErrorCode.ARM_TIMEOUT: DELAYS
+    | POWER
+    | {"foreign trajectory", "unreported trajectory", "foreign withdrawal"},
     # Grbl's lines have no checksum: a changed digit of a move line truly moves the arm elsewhere.
     ErrorCode.ARM_POSITION_MISMATCH: ARM_LINE | ARM_POWER | FREEZES,
     ErrorCode.ARM_SILENT: FREEZES | ENDS | LINKS,

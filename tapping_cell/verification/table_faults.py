@@ -136,6 +136,7 @@ TABLE_CAUSES: dict[int, frozenset[str]] = dict.fromkeys(
         ErrorCode.NOT_READY,
         ErrorCode.DEADLINE_EXCEEDED,
         ErrorCode.GOAL_IN_KEEP_OUT,
+        ErrorCode.GOALS_OVERLAP,
         ErrorCode.NO_ARRANGEMENT,
     ),
     frozenset(OTHERS) | CAMERA,
