@@ -45,14 +45,14 @@ ENDED = (PlanState.IDLE, PlanState.REACHED, PlanState.FAILED, PlanState.CANCELED
 class Confirmed:
     """A tap that a person confirmed at ``time``.
 
-    ``ids``: all taps commanded for it. ``refused``: error message of a tap commanded for it, if the
-    planner has received that this tap was not fired for another reason than a late message.
+    ``ids``: all taps commanded for it. ``refused``: whether the planner has received that a tap
+    commanded for it was not fired for another reason than a late message.
     """
 
     tap: PlannedTap
     time: float
     ids: list[int]
-    refused: str = ""
+    refused: bool = False
 
 
 @dataclass(slots=True)
@@ -141,7 +141,7 @@ class ConfirmationChecker:
             return
         for confirmed in self._confirmed:
             if confirmed.ids[-1] == message.tap_id:
-                confirmed.refused = message.error_msg
+                confirmed.refused = True
 
     def on_tap(self, command: TapCommand) -> None:
         """Check that a person confirmed a tap that the planner commands."""

@@ -264,8 +264,6 @@ class InvariantChecker:
     """Time at which the arm last ceased to move to a strike pose."""
     _commanded_at: dict[int, float] = field(default_factory=dict)
     """For each tap, the time at which it was first commanded."""
-    _last_stops: dict[type, int] = field(default_factory=dict)
-    """Time of the last stop (ns) that the planner has received of arm and tapper."""
     _planned_from: dict[int, float] = field(default_factory=dict)
     """For each tap of the planner, the exposure of the last image that the planner had received
     when it commanded the tap."""
@@ -980,6 +978,7 @@ class InvariantChecker:
 
     def on_state_received_by_planner(self, message: ArmState | TapperState) -> None:
         """Process a state of arm or tapper that the planner's process has handled."""
+        previous = self._received.get(type(message), message)
         self._received[type(message)] = message
         if self.confirmation is not None and isinstance(message, TapperState):
             self.confirmation.on_tapper_state(message)
@@ -987,8 +986,7 @@ class InvariantChecker:
         # its stop at first.
         stopped = ArmState.STOPPED if isinstance(message, ArmState) else TapperState.STOPPED
         last = to_nanoseconds(message.last_stop)
-        before = self._last_stops.get(type(message), last)
-        self._last_stops[type(message)] = last
+        before = to_nanoseconds(previous.last_stop)
         tells = message.state == stopped or last not in (0, before)
         if tells and to_nanoseconds(message.header.stamp) in self._stops:
             self.on_stop_received_by_planner()

@@ -41,6 +41,10 @@ def placed(pose: Pose) -> PoseStamped:
     return message
 
 
+def fail(*_: Any) -> None:
+    raise ZeroDivisionError("defect")
+
+
 def arrangement(**tolerance: float) -> ArrangeObjects.Goal:
     return ArrangeObjects.Goal(
         goals=[ObjectGoal(object_id="aluminium disk", goal_pose=placed(OTHER), **tolerance)]
@@ -162,10 +166,6 @@ def test_a_request_that_raises_is_answered_and_the_present_goal_ends_with_its_re
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     clients = Clients()
-
-    def fail(*_: Any) -> None:
-        raise ZeroDivisionError("defect")
-
     monkeypatch.setattr(clients.process.logic, "_on_confirmation", fail)
     (answer,) = clients.send_action("confirm_tap", ConfirmTap.Request(tap_id=1, confirm=True), 2)
     assert answer.error_code == ErrorCode.INTERNAL and not answer.accepted
@@ -179,10 +179,6 @@ def test_a_defect_at_the_start_of_a_goal_answers_both_clients(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     clients = Clients()
-
-    def fail(*_: Any) -> None:
-        raise ZeroDivisionError("defect")
-
     monkeypatch.setattr(clients.process.logic, "_keep_goal", fail)
     second = clients.send_action("position_object", PositionObject.Goal(goal_pose=placed(OTHER)), 2)
     assert [one.error_code for one in clients.first] == [ErrorCode.GOAL_REPLACED]
@@ -198,13 +194,13 @@ def test_a_tap_is_withdrawn_if_the_cancellation_of_its_goal_raises(
     logic = clients.process.logic
     shipped, raised = getattr(logic, fails), []
 
-    def fail(*arguments: Any) -> Any:
+    def fail_once(*arguments: Any) -> Any:
         if not raised and logic.state is State.CANCELED:
             raised.append(fails)
             raise ZeroDivisionError("defect")
         return shipped(*arguments)
 
-    monkeypatch.setattr(logic, fails, fail)
+    monkeypatch.setattr(logic, fails, fail_once)
     (tap,) = clients.taps()
     clients.process.request("cancel", None, 1, lambda _: None, waits=False)
     clients.run(0.02)
@@ -217,10 +213,6 @@ def test_a_goal_ends_as_usual_if_its_gains_cannot_be_learnt(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     clients = Clients()
-
-    def fail(*_: Any) -> None:
-        raise ZeroDivisionError("defect")
-
     monkeypatch.setattr(clients.process.logic.goals, "learn", fail)
     clients.wait(lambda: clients.first, "the client's result")
     assert clients.first[0].error_code == ErrorCode.NONE
