@@ -100,6 +100,8 @@ class DeviceLogic(ABC, Generic[State, Event]):
         self._job: int | None = None
         self._job_name = ""
         self._reading: int | None = None
+        self._clear_job: int | None = None
+        """Last job that clears a stop or a fault."""
         self._read_at = -1.0
         self._published: tuple[object, ...] | None = None
         self._was_stopped = False
@@ -305,6 +307,9 @@ class DeviceLogic(ABC, Generic[State, Event]):
             self._job = None
             self._end(event, self._job_name, now)
         else:
+            if event.job == self._clear_job and self._stops.stopped:
+                # This job may have cleared the device's stop just after the new stop was sent.
+                self._effects.append(StopWire())
             self._overtaken(event, now)
         return self._drain(now)
 
@@ -367,6 +372,8 @@ class DeviceLogic(ABC, Generic[State, Event]):
         self._abandon()
         self._jobs += 1
         self._job, self._job_name = self._jobs, name
+        if name == "clear":
+            self._clear_job = self._job
         self._effects.append(RunJob(Job(self._jobs, name, run)))
 
     def _read_when_due(self, period: float, run: Callable[[JobContext], object], now: Now) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -335,3 +336,20 @@ def test_a_stop_while_the_port_is_away_is_sent_before_the_stop_is_cleared(
     assert not board.moving(line.now())
     assert not driver.stops_when_opened and not driver.homed and driver.fault is None
     assert driver.home(HomingStrategy.FIRMWARE)
+
+
+@pytest.mark.parametrize("make", [grbl, marlin])
+def test_a_stop_that_the_opened_port_did_not_accept_completely_is_sent_at_the_next_connection(
+    make: Callable[[ControllerNeeds], ArmDriver], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    earlier, line, board = in_a_long_move(make)
+    line.close()
+    driver = ArmDriver(line, type(earlier._dialect)(line), ScaraGeometry())
+    driver.stop_when_opened()
+    with monkeypatch.context() as full, suppress(HardwareFault):
+        full.setattr(line, "stop", lambda data: False)
+        driver.connect(timeout=0.1)
+    assert driver.stops_when_opened and board.moving(line.now())
+    driver.connect()
+    line.sleep(0.5)
+    assert not board.moving(line.now()) and not driver.stops_when_opened

@@ -33,6 +33,7 @@ from tapping_cell.logic.effects import (
     KeepStop,
     RunJob,
     StopLevels,
+    StopWire,
 )
 from tapping_cell.logic.host import Activated, Configured, Deactivated
 from tapping_cell.messages import (
@@ -211,6 +212,20 @@ def test_a_stop_before_the_job_that_clears_the_last_stop_ends_this_job(stopped_a
     context.driver.clear_fault = lambda: cleared.append(True)
     job.run(context)
     assert bool(cleared) is not stopped_again
+
+
+def test_a_stop_while_the_last_stop_is_being_cleared_is_sent_again_afterwards() -> None:
+    """The job may have cleared the controller's stop just after the new stop was sent."""
+    pair = in_position()
+    arm, now = pair.arm, at(START + 1.0)
+    arm.on_request("~/stop", Trigger.Request(), 1, now)
+    made = arm.on_request("~/clear_fault", Trigger.Request(), 2, now)
+    (asked,) = (effect.token for effect in made if isinstance(effect, AskStops))
+    (clear,) = jobs(arm.on_answer(asked, StopLevels(False, (), ()), now))
+    arm.on_request("~/stop", Trigger.Request(), 3, now)
+    made = arm.on_job(JobEnded(clear, Reading(False, PARK, False, START + 1.1)), at(START + 1.1))
+    assert any(isinstance(effect, StopWire) for effect in made)
+    assert arm.state is arms.State.STOPPED
 
 
 def withdraws(made: Sequence[Effect]) -> bool:
