@@ -776,6 +776,7 @@ class ArmLogic(DeviceLogic[State, Event]):
             return
         self._machine.move(Event.CLEAR, S.CLEARING)
         self._run("clear", partial(arm_jobs.clear, is_stopped=lambda now: self.stopped))
+        self._clear_job = self._job
 
     def _time_passed(self, now: Now) -> None:
         self._watch_enabling(now)

@@ -284,11 +284,11 @@ class ArrangementTask(Task):
 
     def end(self, code: int, sentence: str) -> None:
         """Store why the task ended. After a failure, mark the objects that are not at their goals
-        as failed."""
+        as failed. A repeated call, after an internal error in the end of the task, continues."""
         self._ended = (code, sentence)
         if code:
             for name in self._reported_objects():
-                if self._machine(name).state is not P.REACHED:
+                if self._machine(name).state not in (P.REACHED, P.FAILED):
                     self._change(name, Change.GIVEN_UP)
 
     # Reports

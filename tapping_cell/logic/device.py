@@ -58,6 +58,8 @@ STOP_AGAIN_S = 1.0
 """Minimum time between two transmissions of a latched stop to a device with ``repeats_stop``, s. It
 limits the load on the line if a publisher of ``emergency_stop`` repeats its level."""
 CONTINUE = (ErrorCode.NONE, "")
+NOT_STARTED = HardwareFault(FaultReason.STOPPED, "not started because of an internal error")
+"""Result of a job that the host did not receive, because the handler that began it raised."""
 
 State = TypeVar("State", bound=Enum)
 Event = TypeVar("Event", bound=Enum)
@@ -102,6 +104,10 @@ class DeviceLogic(ABC, Generic[State, Event]):
         self._reading: int | None = None
         self._clear_job: int | None = None
         """Last job that clears a stop or a fault."""
+        self._resets: set[Token] = set()
+        """Requests to clear that wait for the levels of the publishers of ``emergency_stop``."""
+        self._handed_out = 0
+        """Number of the last job that the host has received."""
         self._read_at = -1.0
         self._published: tuple[object, ...] | None = None
         self._was_stopped = False
@@ -301,7 +307,8 @@ class DeviceLogic(ABC, Generic[State, Event]):
                 self._on_job_report(self._job_name, event.content, now)
         elif event.job == self._reading:
             self._reading = None
-            if self._job is None and not self._stops.stopped:
+            is_defect = not isinstance(event.fault, HardwareFault | None)
+            if (self._job is None or is_defect) and not self._stops.stopped:
                 self._end(event, "read", now)
         elif event.job == self._job:
             self._job = None
@@ -321,9 +328,10 @@ class DeviceLogic(ABC, Generic[State, Event]):
         return self._drain(now)
 
     def on_defect(
-        self, error: Exception, now: Now, unanswered: UnansweredRequest | None = None
+        self, error: Exception, now: Now, lost: UnansweredRequest | JobEnded | None = None
     ) -> Sequence[Effect]:
         """Stop the device and report INTERNAL after a handler has raised ``error``."""
+        unstarted = range(self._handed_out + 1, self._jobs + 1)
         # A stop that the handler has already processed is still stored, and requests that it has
         # already answered receive no other answer.
         self._effects = [
@@ -334,11 +342,19 @@ class DeviceLogic(ABC, Generic[State, Event]):
         ]
         self._effects.append(StopWire())
         self._defect(error, now)
-        if unanswered is not None:
-            answered = [effect.token for effect in self._effects if isinstance(effect, Answer)]
-            if unanswered.token not in answered:
-                response = self._failure(unanswered.service, self._error[1])
-                self._effects.append(Answer(unanswered.token, response))
+        for job in unstarted:
+            self._overtaken(JobEnded(job, fault=NOT_STARTED), now)
+        unanswered = dict.fromkeys(self._resets, "~/clear_fault")
+        self._resets.clear()
+        if isinstance(lost, JobEnded):
+            self._overtaken(lost, now)
+        elif lost is not None:
+            unanswered[lost.token] = lost.service
+        for effect in self._effects:
+            if isinstance(effect, Answer):
+                unanswered.pop(effect.token, None)
+        for token, service in unanswered.items():
+            self._effects.append(Answer(token, self._failure(service, self._error[1])))
         return self._drain(now)
 
     # Helpers for the devices
@@ -358,10 +374,11 @@ class DeviceLogic(ABC, Generic[State, Event]):
             self._overtaken(event, now)
 
     def _defect(self, error: Exception, now: Now) -> None:
-        self._abandon()
-        self._job = None
         self._reading = None  # its end must not replace the report of the defect
-        self._fail(now)
+        if self._stops.stopped and self.state is not self.stopped_state:
+            self._stop(now)  # the exception has interrupted the stop
+        else:
+            self._fail(now)
         self._set_error(
             ErrorCode.INTERNAL,
             f"internal error ({error!r}): report it with the log, then restart the node",
@@ -372,8 +389,6 @@ class DeviceLogic(ABC, Generic[State, Event]):
         self._abandon()
         self._jobs += 1
         self._job, self._job_name = self._jobs, name
-        if name == "clear":
-            self._clear_job = self._job
         self._effects.append(RunJob(Job(self._jobs, name, run)))
 
     def _read_when_due(self, period: float, run: Callable[[JobContext], object], now: Now) -> None:
@@ -408,6 +423,7 @@ class DeviceLogic(ABC, Generic[State, Event]):
 
     def _answer(self, token: Token, success: bool, sentence: str) -> None:
         self._effects.append(Answer(token, Trigger.Response(success=success, message=sentence)))
+        self._resets.discard(token)
 
     def _drain(self, now: Now) -> Sequence[Effect]:
         """Return the collected effects, and the state message if the state changed."""
@@ -420,6 +436,7 @@ class DeviceLogic(ABC, Generic[State, Event]):
             self._published = content
             self._effects.append(self._report(now))
         effects, self._effects = self._effects, []
+        self._handed_out = self._jobs
         return effects
 
     @abstractmethod
@@ -447,6 +464,7 @@ class DeviceLogic(ABC, Generic[State, Event]):
         elif not self._configured:
             self._answer(token, False, self._error[1])
         elif self._stops.stopped:
+            self._resets.add(token)
             self._effects.append(AskStops(("reset", token, self._stops.begin_reset(now))))
         elif self._healthy():
             self._answer(token, True, "there is no fault to clear")
@@ -456,6 +474,8 @@ class DeviceLogic(ABC, Generic[State, Event]):
     def _levels_received(
         self, token: Token, reset: stops.ResetRequest, levels: StopLevels | None, now: Now
     ) -> None:
+        if token not in self._resets:
+            return  # answered after an internal error
         if not self._configured or not self._stops.stopped:
             self._answer(token, False, "the node's state changed meanwhile; call the service again")
             return

@@ -98,10 +98,10 @@ class Logic(Protocol):
         """Handle the timer."""
 
     def on_defect(
-        self, error: Exception, now: Now, unanswered: UnansweredRequest | None = None
+        self, error: Exception, now: Now, lost: UnansweredRequest | JobEnded | None = None
     ) -> Sequence[Effect]:
         """Go to a safe state and report INTERNAL after a handler has raised ``error``.
 
-        ``unanswered``: the request that the handler received, if it received one; it is answered
-        with a failure.
+        ``lost``: the request or the end of a job that the handler received, if it received one. A
+        request is answered with a failure.
         """

@@ -250,6 +250,8 @@ class PlannerLogic:
         self._observe_after = -math.inf
         self._struck_at = math.inf
         self._last_tap_id = 0
+        self._commanded = 0
+        """Id of the last tap whose command the host has received."""
         self._withdrawn_tap_id = 0
         self._withdrawn_at = -math.inf
         self._parked_tap_id = 0
@@ -415,12 +417,14 @@ class PlannerLogic:
         return self._drain()
 
     def on_defect(
-        self, error: Exception, now: Now, unanswered: UnansweredRequest | None = None
+        self, error: Exception, now: Now, lost: UnansweredRequest | JobEnded | None = None
     ) -> Sequence[Effect]:
         """End the tap and the goal after a handler has raised ``error``."""
         # What the handler has already decided still takes effect, for example a withdrawal or an
         # answer, because it is not repeated. Only nothing new begins.
         self._effects = [effect for effect in self._effects if not _begins(effect)]
+        if self._shot is not None and self._shot.tap_id != self._commanded:
+            self._shot = None  # its command was not published
         self._end_tap(now)
         sentence = _internal_error(error)
         if self._task is not None:
@@ -429,11 +433,11 @@ class PlannerLogic:
             # The handler may have ended a goal that is still stored.
             self._effects.append(KeepGoal(None))
             self._report(now, self.last.error_code, self.last.error_msg)
-        if unanswered is not None:
+        if isinstance(lost, UnansweredRequest):
             answered = [effect.token for effect in self._effects if isinstance(effect, Answer)]
-            if unanswered.token not in answered:
-                response = _failure(type(unanswered.request), ErrorCode.INTERNAL, sentence)
-                self._effects.append(Answer(unanswered.token, response))
+            if lost.token not in answered:
+                response = _failure(type(lost.request), ErrorCode.INTERNAL, sentence)
+                self._effects.append(Answer(lost.token, response))
         return self._drain()
 
     # Goals
@@ -706,10 +710,12 @@ class PlannerLogic:
             if self._late(now):
                 self._fail(*unknown, now)
             return
-        shot, self._shot = self._shot, None
+        shot = self._shot
         if shot is not None and self._may_have_been_fired(shot):
             self._take_in(task, shot, seen)
+            self._shot = None  # from here on, the tap's record counts
         elif shot is not None:
+            self._shot = None
             self._keep_goal(task, now)
         task.arm = self._monitor.tip
         frames = 0 if self._late(now) else needed
@@ -1121,8 +1127,8 @@ class PlannerLogic:
         """Publish the withdrawal of a tap; repeated calls for the same tap have no effect."""
         if tap_id == self._withdrawn_tap_id:
             return
-        self._withdrawn_tap_id, self._withdrawn_at = tap_id, now.steady
         self._publish_withdrawal(tap_id, now)
+        self._withdrawn_tap_id, self._withdrawn_at = tap_id, now.steady
 
     def _withdraw_orphan(self, now: Now) -> None:
         """Withdraw a tap of a previous planner that the arm still serves, if any."""
@@ -1292,6 +1298,8 @@ class PlannerLogic:
         self._effects.append(Log(level, sentence))
 
     def _drain(self) -> Sequence[Effect]:
+        if self._shot is not None:
+            self._commanded = self._shot.tap_id
         effects, self._effects = self._effects, []
         return effects
 

@@ -233,7 +233,7 @@ class TapperLogic(DeviceLogic[State, Event]):
         self._fixed = False
         self._reported = TapperState(measured_speed=math.nan)
         self._fire_job: int | None = None
-        """Job of the last shot."""
+        """Job that may fire the last tap; None: no job may have fired it."""
         self._set_up = options.set_up
         self._enabling = EnablingDevice()
 
@@ -350,6 +350,7 @@ class TapperLogic(DeviceLogic[State, Event]):
             self._charge_when_ready(now)
 
     def _set_tap(self, tap_id: int, outcome: int) -> None:
+        self._fire_job = None
         self._reported.tap_id, self._reported.outcome = tap_id, outcome
         self._reported.key_digest = 0
         self._reported.measured_speed = math.nan
@@ -546,6 +547,7 @@ class TapperLogic(DeviceLogic[State, Event]):
 
     def _discharge(self, why: CodedError) -> None:
         self._given_up = why
+        self._fire_job = None
         self._machine.move(Event.GIVEN_UP, S.DISCHARGING)
         self._run("discharge", tapper_jobs.discharge)
 
@@ -793,7 +795,7 @@ class TapperLogic(DeviceLogic[State, Event]):
 
     def _stop_tap(self) -> None:
         """End the tap. If a shot is under way, its outcome is reported when the job ends."""
-        if self._tap is not None and self.state is not S.FIRING:
+        if self._awaits_outcome() and self._fire_job is None:
             self._reported.outcome = TapperState.NOT_FIRED
         self._tap = self._permit = None
         self._overtake()
@@ -819,6 +821,7 @@ class TapperLogic(DeviceLogic[State, Event]):
         if self.state is not S.CLEARING:
             self._machine.move(Event.CLEAR, S.CLEARING)
             self._run("clear", partial(tapper_jobs.clear, is_stopped=lambda now: self.stopped))
+            self._clear_job = self._job
 
     def _time_passed(self, now: Now) -> None:
         self._watch_enabling(now)

@@ -264,8 +264,10 @@ class Task:
         self.session.observe(shot.strike, shot.before, pose, covariance)
 
     def lose(self, shot: Shot) -> None:
-        """Record the tap during which the goal ended if it was fired or may have been fired."""
-        if shot.outcome in (TapperState.FIRED, TapperState.UNKNOWN):
+        """Record the tap during which the goal ended if it was fired or may have been fired, and if
+        it has no record yet."""
+        recorded = any(record.tap_id == shot.tap_id for record in self.records)
+        if shot.outcome in (TapperState.FIRED, TapperState.UNKNOWN) and not recorded:
             self.records.append(shot.record(None, self.session.gains))
 
     def end(self, code: int, sentence: str) -> None:

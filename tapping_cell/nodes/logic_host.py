@@ -174,14 +174,14 @@ class LogicHost(Generic[Machine]):
     def _dispatch(
         self,
         handler: Callable[[Now], Sequence[fx.Effect]],
-        request: UnansweredRequest | None = None,
+        received: UnansweredRequest | fx.JobEnded | None = None,
     ) -> None:
         with self._lock:
             try:
                 made = handler(self.now())
             except Exception as error:
                 self._node.get_logger().error(traceback.format_exc())
-                made = self._logic.on_defect(error, self.now(), request)
+                made = self._logic.on_defect(error, self.now(), received)
             # The stack also performs the effects after one that raises, so that no stop and no
             # stored file is lost; it then raises the error. The error may be KeyboardInterrupt.
             with contextlib.ExitStack() as stack:
@@ -348,7 +348,7 @@ class LogicHost(Generic[Machine]):
         except Exception as error:
             ended = fx.JobEnded(job.number, fault=error)
         self._abandoned.discard(job.number)
-        self._dispatch(lambda now: self._logic.on_job(ended, now))
+        self._dispatch(lambda now: self._logic.on_job(ended, now), ended)
 
     def abandoned(self, job: int) -> bool:
         """Return whether a job was abandoned."""

@@ -106,6 +106,8 @@ TAPPER_POWER = frozenset(
 )
 POWER = ARM_POWER | TAPPER_POWER
 ARM_ENDS, TAPPER_ENDS = frozenset({"end of scara_arm"}), frozenset({"end of tapper_trigger"})
+ARM_EXCEPTION, TAPPER_EXCEPTION = "exception in scara_arm", "exception in tapper_trigger"
+EXCEPTIONS = frozenset({"exception in tap_planner", ARM_EXCEPTION, TAPPER_EXCEPTION})
 ARM_STOPS = frozenset({"emergency stop", "stop of scara_arm"})
 TAPPER_STOPS = frozenset({"emergency stop", "stop of tapper_trigger"})
 DELAYS = FREEZES | ENDS | LINKS | LINES | {"deactivate", "second node"}
@@ -132,7 +134,12 @@ EXPLAINED_BY: dict[int, frozenset[str]] = {
     ErrorCode.EMERGENCY_STOP: frozenset({"emergency stop"}),
     ErrorCode.ARM_STOPPED: ARM_STOPS | ARM_LINE,
     ErrorCode.TAPPER_STOPPED: TAPPER_STOPS | TAPPER_LINE,
-    ErrorCode.ARM_NOT_HOMED: ARM_STOPS | ARM_LINE | ARM_POWER | ARM_ENDS | FREEZES,
+    ErrorCode.ARM_NOT_HOMED: ARM_STOPS
+    | ARM_LINE
+    | ARM_POWER
+    | ARM_ENDS
+    | FREEZES
+    | {ARM_EXCEPTION},
     ErrorCode.CONFIGURATION_CONFLICT: frozenset(
         {"second arm", "foreign state", "foreign flood", "replay"}
     ),
@@ -181,6 +188,7 @@ EXPLAINED_BY: dict[int, frozenset[str]] = {
     ErrorCode.ENABLING_RELEASED: FREEZES
     | SWITCH_UNKNOWN
     | {"enabling device released", "enabling messages delayed", KEY_ONLY},
+    ErrorCode.INTERNAL: EXCEPTIONS,
     ErrorCode.TAP_NOT_CONFIRMED: UNANSWERED,
     ErrorCode.TAP_WITHOUT_EFFECT: CAMERA | POWER,
     ErrorCode.TAP_LIMIT_REACHED: CAMERA | FOREIGN | {FEW_TAPS},

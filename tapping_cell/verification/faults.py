@@ -895,6 +895,26 @@ def _second_client(rng: np.random.Generator, trial: FaultTarget) -> Made:
     return lambda t: t.send_goal(goal, foreign=True), "a second client sends another goal"
 
 
+def _planted(rng: np.random.Generator, trial: FaultTarget) -> Made:
+    """A handler or a job of a node raises an exception at a random line of its code, sometimes
+    while the node handles a request."""
+    node, requested = _pick(rng, trial.nodes), bool(rng.random() < 0.3)
+    lines = round(draw_duration(rng, 1.0, 100.0 if requested else 3000.0))
+    resets = bool(rng.random() < 0.5)
+
+    def strike(t: FaultTarget) -> None:
+        t.plant_exception(node, lines)
+        if requested and node == "tap_planner":
+            t.cancel_by_service()
+        elif requested and resets:
+            t.reset(node)
+        elif requested:
+            t.call_stop(node)
+
+    request = f", during a request to {'reset' if resets else 'stop or cancel'}"
+    return strike, (f"{node} raises an exception after {lines} lines{request if requested else ''}")
+
+
 def _disk_full(rng: np.random.Generator, trial: FaultTarget) -> Made:
     def strike(t: FaultTarget) -> None:
         t.processes["tap_planner"].disk.full = True
@@ -947,6 +967,7 @@ MAKERS: dict[str, Maker] = {
     "cancel by service": _cancel_by_service,
     "second client": _second_client,
     "disk full": _disk_full,
+    "exception": _planted,
 }
 KINDS = tuple(MAKERS)
 SET_UP_MAKERS: dict[str, Maker] = {
@@ -990,6 +1011,7 @@ AT_A_SHOT = (
     "duplicates",
     "second client",
     "object turned",
+    "exception",
     *("foreign trajectory", "foreign hold", "foreign flood", "second arm") * 2,
 )
 """Kinds of faults around a shot. Some kinds are listed several times, so that they are drawn more

@@ -189,6 +189,7 @@ WITHOUT_ARM = (
     "cancel by service",
     "second client",
     "disk full",
+    "exception",
 )
 """Kinds of faults that need no arm."""
 FIXED_MAKERS: dict[str, Maker] = {
@@ -220,6 +221,7 @@ FIXED_AT_A_SHOT = (
         "duplicates",
         "second client",
         "object turned",
+        "exception",
     ),
 )
 FIXED_OF_A_SHOT = (

@@ -49,6 +49,7 @@ from tapping_cell.logic.host import (
 )
 from tapping_cell.messages import Bool
 from tapping_cell.verification.network import Network
+from tapping_cell.verification.planted_exception import PlantedError, PlantedException
 from tapping_cell.verification.scheduler import Fiber, Scheduler, Timer
 from tapping_cell.verification.serial_line import SerialLine
 
@@ -60,6 +61,10 @@ SHARE_OF_SLOW_COMPUTATIONS, SLOW_COMPUTING_S = 0.1, (0.5, 5.0)
 """Fraction of these jobs that take longer, and the range of their duration, s."""
 RETRY_S = 1.0
 """Time between two attempts to configure."""
+ANSWER_S = 1.0
+"""Time within which every request of a service is answered, s."""
+ACTIONS = frozenset({"position_object", "arrange_objects", "single_tap"})
+"""Requests that are answered at the end of a goal."""
 
 
 def copy_of(value: Any) -> Any:
@@ -194,6 +199,12 @@ class Process:
         """Called at the end of such a job with its number and whether the state machine has acted
         on its result, before the effects are carried out."""
         self.on_log: Callable[[str, str], None] = lambda process, sentence: None
+        self.planted: PlantedException | None = None
+        """Exception that one of the next handlers or jobs raises, if any."""
+        self.on_caught: Callable[[str], None] = lambda process: None
+        """Called after the state machine has handled an exception of one of its handlers."""
+        self.on_planted: Callable[[str, str], None] = lambda process, place: None
+        """Called with process and line of code when this exception was raised."""
         self.freezes = 0
         self.defects: list[str] = []
         self.logic: Any = None
@@ -211,6 +222,9 @@ class Process:
         """Handlers of messages and requests received while the process was frozen, each with its
         topic (empty for other events)."""
         self._answers: dict[Any, Callable[[Any], None]] = {}
+        self._handled: dict[Any, tuple[str, float]] = {}
+        """Service of each request that has no answer yet, and the time at which the state machine
+        handled the request."""
         self._tick: Timer | None = None
         self._life = 0
         self.started_at = math.inf
@@ -236,10 +250,22 @@ class Process:
             return math.inf
         return max(self.started_at, self.frozen_until)
 
+    def unanswered(self) -> list[str]:
+        """Return the services of the requests that should have been answered by now."""
+        if not self.alive:
+            return []
+        latest = self._scheduler.now - ANSWER_S
+        return [
+            service
+            for service, handled in self._handled.values()
+            if max(handled, self.frozen_until) < latest
+        ]
+
     def start(self) -> None:
         """Start the process."""
         self._life += 1
         life = self._life
+        self.planted = None
         self.alive, self.active, self.frozen_until = True, False, 0.0
         self.inactive_since = self._scheduler.now
         self._connected = self._configured = self._connecting = False
@@ -250,6 +276,7 @@ class Process:
         self._abandoned.clear()
         self._inbox.clear()
         self._answers.clear()
+        self._handled.clear()
         self._running = None
         self._stop_publishers.clear()
         for topic in self._program.topics:
@@ -306,7 +333,7 @@ class Process:
                 return
             self.active = isinstance(event, Activated)
             self.inactive_since = math.inf if self.active else self._scheduler.now
-            self._carry_out(self.logic.on_lifecycle(event, self._clock.now()))
+            self._handle(self.logic.on_lifecycle, event)
 
         self._when_awake(handle)
 
@@ -336,7 +363,9 @@ class Process:
 
         def handle() -> None:
             self.on_requested(self.name, service, token)
-            self._handle(self.logic.on_request, service, request, token, unanswered=unanswered)
+            if waits and service not in ACTIONS:
+                self._handled[token] = service, self._scheduler.now
+            self._handle(self.logic.on_request, service, request, token, received=unanswered)
 
         self._when_awake(handle)
 
@@ -385,18 +414,33 @@ class Process:
         self,
         call: Callable[..., Sequence[Effect]],
         *arguments: Any,
-        unanswered: UnansweredRequest | None = None,
+        received: UnansweredRequest | JobEnded | None = None,
     ) -> None:
         """Call a handler of the state machine with these arguments and the time, and carry out the
-        effects that it returns. ``unanswered``: the request that the handler receives, if any."""
+        effects that it returns. ``received``: the request or the end of a job that the handler
+        receives, if any."""
         if not self.alive:
             return
         try:
-            effects = call(*arguments, self._clock.now())
+            effects = self._call(call, *arguments, self._clock.now())
         except Exception as error:  # a defect: handle it as the ROS host does
-            self.defects.append(f"{self.name}: {error!r}")
-            effects = self.logic.on_defect(error, self._clock.now(), unanswered)
+            self._raised(error, self.name)
+            self._carry_out(self.logic.on_defect(error, self._clock.now(), received))
+            self.on_caught(self.name)
+            return
         self._carry_out(effects)
+
+    def _call(self, call: Callable[..., Any], *arguments: Any) -> Any:
+        """Call a handler or a job, which may raise the planted exception."""
+        return call(*arguments) if self.planted is None else self.planted.run(call, *arguments)
+
+    def _raised(self, error: Exception, where: str) -> None:
+        """Process an exception of a handler or a job."""
+        if isinstance(error, PlantedError):
+            self.planted = None
+            self.on_planted(self.name, str(error))
+        else:
+            self.defects.append(f"{where}: {error!r}")
 
     def _carry_out(self, effects: Sequence[Effect]) -> None:
         for effect in effects:
@@ -413,8 +457,11 @@ class Process:
             elif isinstance(effect, Log):
                 self.on_log(self.name, effect.sentence)
             elif isinstance(effect, Answer):
+                self._handled.pop(effect.token, None)
                 answer = self._answers.pop(effect.token, None)
-                if answer is not None:
+                if answer is None:
+                    self.defects.append(f"{self.name} answered a request twice")
+                else:
                     answer(effect.response)
             else:
                 self._carry_out_other(effect)
@@ -442,15 +489,15 @@ class Process:
             self.on_computed(event.job, bool(effects))
             return effects
 
-        self._when_awake(lambda: self._handle(take, ended))
+        self._when_awake(lambda: self._handle(take, ended, received=ended))
 
     def _run(self, job: Job, worker: Fiber | None) -> JobEnded:
         try:
-            return JobEnded(job.number, result=job.run(_Context(self, job, worker)))
+            return JobEnded(job.number, result=self._call(job.run, _Context(self, job, worker)))
         except HardwareFault as fault:
             return JobEnded(job.number, fault=fault)
         except Exception as defect:
-            self.defects.append(f"{self.name}, job {job.name}: {defect!r}")
+            self._raised(defect, f"{self.name}, job {job.name}")
             return JobEnded(job.number, fault=defect)
 
     def _carry_out_other(self, effect: Effect) -> None:
@@ -570,7 +617,7 @@ class Process:
         self._handle(self.logic.on_lifecycle, Unreachable(fault))
 
     def _report_end(self, event: JobEnded) -> None:
-        self._handle(self.logic.on_job, event)
+        self._handle(self.logic.on_job, event, received=event)
 
     def _pause(self, worker: Fiber) -> None:
         """Let the worker wait while the process is frozen."""

@@ -1001,6 +1001,15 @@ class InvariantChecker:
                 " the present goal, but has not ended this goal",
             )
 
+    def on_exception_in_planner(self) -> None:
+        """Process that the planner has handled an exception of one of its handlers."""
+        if self._goal is not None:
+            self.violate(
+                "goal outlives an exception",
+                "a handler of the planner has raised an exception during the present goal, but the"
+                " planner has not ended this goal",
+            )
+
     def _begin_goal(self, message: PlanState) -> None:
         """Check that somebody has requested the goal that the planner begins."""
         self._check_planner_active("began a goal")

@@ -330,7 +330,7 @@ MUTANTS: tuple[Mutant, ...] = (
         Mutant(
             "uses the result of a status read although a job is running",
             "tapping_cell.logic.device",
-            "            if self._job is None and not self._stops.stopped:\n",
+            "            if (self._job is None or is_defect) and not self._stops.stopped:\n",
             "            if not self._stops.stopped:\n",
         ),
         kinds=("freeze before a write", "foreign command"),
@@ -669,7 +669,7 @@ MUTANTS: tuple[Mutant, ...] = (
     Mutant(
         "leaves the last tap of a failed goal out of its result",
         "tapping_cell.logic.task",
-        "if shot.outcome in (TapperState.FIRED, TapperState.UNKNOWN):",
+        "if shot.outcome in (TapperState.FIRED, TapperState.UNKNOWN) and not recorded:",
         "if False:",
         kinds=("cancel", "emergency stop"),
     ),

@@ -93,6 +93,7 @@ from tapping_cell.verification.invariants import InvariantChecker, Violation
 from tapping_cell.verification.network import Network, Quality
 from tapping_cell.verification.people import KEY, SWITCH, ConfirmingPerson, EnablingPerson
 from tapping_cell.verification.physical_cell import PhysicalCell
+from tapping_cell.verification.planted_exception import PlantedException
 from tapping_cell.verification.scheduler import HangError, Scheduler
 from tapping_cell.verification.serial_line import BusyLine, SerialLine
 from tapping_cell.verification.set_up_invariants import ENERGY_J as SET_UP_ENERGY_J
@@ -416,6 +417,8 @@ class Trial:
             process.on_asked = self._on_asked
             process.on_requested = self._on_requested
             process.on_log = self._on_log
+            process.on_planted = self._on_planted
+            process.on_caught = self._on_caught
         self._seconds: list[Process] = []
         self.camera = self._make_camera()
         self.checker.exposed = lambda stamp: self.camera.exposed.get(stamp, -math.inf)
@@ -681,6 +684,8 @@ class Trial:
         for process in self.processes.values():
             for defect in process.defects:
                 self.checker.violate("defect", defect)
+            for service in process.unanswered():
+                self.checker.violate("no answer", f"{process.name} has not answered {service}")
             process.kill()
             self.report.by_node[f"freeze {process.name}"] += process.freezes
         for process in self._seconds:
@@ -1088,6 +1093,26 @@ class Trial:
         second.start()
         self.scheduler.after(lasting, second.kill, in_main=True)
 
+    def plant_exception(self, node: str, lines: int) -> None:
+        """Let one of the next handlers or jobs of a node raise an exception, after ``lines`` lines
+        of its code."""
+        if self.processes[node].alive:
+            self.processes[node].planted = PlantedException(lines)
+
+    def _on_planted(self, node: str, place: str) -> None:
+        self._note(f"EXCEPTION in {node} at {place}")
+        self.note_kind(f"exception in {node}")
+        self.note_disturbance(0.0)
+        self.report.by_node[f"exception {node}"] += 1
+        if node == "scara_arm":
+            # The arm has a fault now, until it is cleared and homed.
+            self.checker.forbid_motion()
+            self._taps_of_arm.clear()
+
+    def _on_caught(self, node: str) -> None:
+        if node == "tap_planner":
+            self.checker.on_exception_in_planner()
+
     def hide_object(self, duration: float) -> None:
         """Hide the object for ``duration`` s, as if a hand covered it."""
         now = self.scheduler.now
@@ -1375,6 +1400,10 @@ class Trial:
                 self._clear_stop(node)
         if topic == "tapper_state" and node == "tapper_trigger":
             self._check_fault_report(message)
+        of_enabling = topic == "arm_state" and message.error_code == ErrorCode.ENABLING_RELEASED
+        if of_enabling and node == "scara_arm" and message.state == ArmState.STOPPED:
+            # This stop, too, lasts until a person clears it.
+            self.checker.stopped_at.setdefault(node, self.scheduler.now)
         states = ("arm_state", "tapper_state", "plan_state")
         if topic in states and self._states.get(topic) != message.state:
             self._states[topic] = message.state

@@ -24,6 +24,7 @@ from tapping_cell.logic import permit
 from tapping_cell.logic.arm_jobs import MotionEnd, Reading
 from tapping_cell.logic.clock import Now
 from tapping_cell.logic.effects import (
+    AbandonJob,
     Answer,
     AskStops,
     Content,
@@ -212,6 +213,60 @@ def test_a_stop_before_the_job_that_clears_the_last_stop_ends_this_job(stopped_a
     context.driver.clear_fault = lambda: cleared.append(True)
     job.run(context)
     assert bool(cleared) is not stopped_again
+
+
+def test_a_program_error_during_a_read_ends_a_motion_that_was_begun_meanwhile() -> None:
+    pair = Pair()
+    arm = pair.arm
+    here = Reading(True, PARK, False, START - 10.0)
+    arm.on_lifecycle(Configured(CELL, here), at(START - 10.0))
+    arm.on_lifecycle(Activated(), at(START - 10.0))
+    (read,) = jobs(arm.on_tick(at(START)))
+    command = pair.command(TapCommand.TAP, at(START))
+    (place,) = jobs(arm.on_message("tap_command", command, at(START)))
+    made = arm.on_job(JobEnded(read, fault=ValueError("a defect")), at(START + 0.1))
+    assert any(isinstance(effect, StopWire) for effect in made)
+    assert AbandonJob(place) in made
+    assert (arm.state, arm.error[0]) == (arms.State.FAULT, ErrorCode.INTERNAL)
+
+
+def test_a_program_error_does_not_end_the_job_that_sends_a_stop() -> None:
+    """The job sends a stop that has found the port closed."""
+    arm = in_position().arm
+    made = arm.on_request("~/stop", Trigger.Request(), 1, at(START + 1.0))
+    (send,) = jobs(made)
+    made = arm.on_defect(ValueError("a defect"), at(START + 1.1))
+    assert AbandonJob(send) not in made
+    assert any(isinstance(effect, StopWire) for effect in made)
+
+
+def test_a_stop_that_a_program_error_interrupts_is_completed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    arm = in_position().arm
+    with monkeypatch.context() as broken:
+        broken.setattr(arm, "_overtake", raise_error)
+        with pytest.raises(ValueError, match="defect"):
+            arm.on_request("~/stop", Trigger.Request(), 1, at(START + 1.0))
+    arm.on_defect(ValueError("a defect"), at(START + 1.0))
+    assert arm.stopped and arm.state is arms.State.STOPPED
+
+
+def test_a_request_to_clear_is_answered_once_if_a_program_error_occurs_meanwhile() -> None:
+    arm = in_position().arm
+    arm.on_request("~/stop", Trigger.Request(), 1, at(START + 1.0))
+    made = arm.on_request("~/clear_fault", Trigger.Request(), 2, at(START + 2.0))
+    (asked,) = (effect.token for effect in made if isinstance(effect, AskStops))
+    made = arm.on_defect(ValueError("a defect"), at(START + 2.1))
+    (answer,) = (effect for effect in made if isinstance(effect, Answer))
+    assert answer.token == 2 and not answer.response.success
+    made = arm.on_answer(asked, StopLevels(False, (), ()), at(START + 2.3))
+    assert not any(isinstance(effect, Answer) for effect in made)
+    assert arm.state is arms.State.STOPPED
+
+
+def raise_error(*_: object) -> None:
+    raise ValueError("a defect")
 
 
 def test_a_stop_while_the_last_stop_is_being_cleared_is_sent_again_afterwards() -> None:

@@ -186,7 +186,7 @@ def test_a_defect_at_the_start_of_a_goal_answers_both_clients(
     assert clients.process.disk.goal is None, "neither goal is resumed after a crash"
 
 
-@pytest.mark.parametrize("fails", ["_report", "_park"])
+@pytest.mark.parametrize("fails", ["_publish_withdrawal", "_report", "_park"])
 def test_a_tap_is_withdrawn_if_the_cancellation_of_its_goal_raises(
     monkeypatch: pytest.MonkeyPatch, fails: str
 ) -> None:
@@ -195,7 +195,7 @@ def test_a_tap_is_withdrawn_if_the_cancellation_of_its_goal_raises(
     shipped, raised = getattr(logic, fails), []
 
     def fail_once(*arguments: Any) -> Any:
-        if not raised and logic.state is State.CANCELED:
+        if not raised and (logic.state is State.CANCELED or fails == "_publish_withdrawal"):
             raised.append(fails)
             raise ZeroDivisionError("defect")
         return shipped(*arguments)
@@ -218,3 +218,47 @@ def test_a_goal_ends_as_usual_if_its_gains_cannot_be_learnt(
     assert clients.first[0].error_code == ErrorCode.NONE
     clients.run(0.02)
     assert clients.plans[-1].state == PlanState.REACHED
+
+
+@pytest.mark.parametrize("fails", ["_keep_goal", "_enter"])
+def test_a_tap_whose_command_was_not_published_does_not_count(
+    monkeypatch: pytest.MonkeyPatch, fails: str
+) -> None:
+    """The internal error occurs before or after the command was prepared."""
+    clients = Clients()
+    logic = clients.process.logic
+    shipped = getattr(logic, fails)
+
+    def fail_for_a_tap(*arguments: Any) -> Any:
+        shipped(*arguments)
+        if logic._shot is not None:
+            raise ZeroDivisionError("defect")
+
+    clients.check_first_goal_is_reached()
+    before = len(clients.taps())
+    monkeypatch.setattr(logic, fails, fail_for_a_tap)
+    second = clients.send_action("position_object", PositionObject.Goal(goal_pose=placed(OTHER)), 2)
+    clients.wait(lambda: second, "the client's result")
+    assert (second[0].error_code, second[0].taps) == (ErrorCode.INTERNAL, 0)
+    assert len(clients.taps()) == before
+
+
+@pytest.mark.parametrize("fails", ["_report", "_park"])
+def test_the_last_tap_counts_once_if_the_end_of_its_goal_raises(
+    monkeypatch: pytest.MonkeyPatch, fails: str
+) -> None:
+    clients = Clients()
+    logic = clients.process.logic
+    shipped, raised = getattr(logic, fails), []
+
+    def fail_once(*arguments: Any) -> Any:
+        if not raised and logic.state is State.CANCELED:
+            raised.append(fails)
+            raise ZeroDivisionError("defect")
+        return shipped(*arguments)
+
+    monkeypatch.setattr(logic, fails, fail_once)
+    assert clients.taps()
+    clients.process.request("cancel", None, 1, lambda _: None, waits=False)
+    clients.wait(lambda: clients.first, "the client's result")
+    assert raised and clients.first[0].taps == 1

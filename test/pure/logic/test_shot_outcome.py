@@ -18,7 +18,7 @@ from tapping_cell.hardware.tapper import FireOutcome, FireResult
 from tapping_cell.hardware.tapper_protocol import Reply
 from tapping_cell.hardware.tapper_protocol import State as BoardState
 from tapping_cell.logic import tapper_jobs
-from tapping_cell.logic.effects import Answer, JobContext, JobEnded
+from tapping_cell.logic.effects import Answer, JobContext, JobEnded, StopWire
 from tapping_cell.logic.host import Configured, ShutDown
 from tapping_cell.logic.tapper import TapperLogic
 from tapping_cell.logic.tapper_jobs import FireEnd, Status
@@ -114,6 +114,57 @@ def test_a_shot_whose_job_ends_by_a_program_error_may_have_been_fired() -> None:
     state = reported(tapper, START + 0.11)
     assert (state.state, state.outcome) == (TapperState.FAULT, TapperState.UNKNOWN)
     assert state.error_code == ErrorCode.INTERNAL
+
+
+@pytest.mark.parametrize(
+    ("end", "outcome"),
+    [
+        ({"fault": STOPPED}, TapperState.NOT_FIRED),
+        ({"fault": PROGRAM_ERROR}, TapperState.UNKNOWN),
+        ({"result": FIRED}, TapperState.FIRED),
+    ],
+    ids=["stopped", "program error", "fired"],
+)
+def test_a_shot_whose_end_meets_a_program_error_gets_its_true_outcome(
+    end: dict[str, object], outcome: int
+) -> None:
+    tapper, fire = firing()
+    made = tapper.on_defect(PROGRAM_ERROR, at(START + 0.1), JobEnded(fire, **end))
+    assert any(isinstance(effect, StopWire) for effect in made)
+    state = reported(tapper, START + 0.11)
+    assert (state.state, state.outcome) == (TapperState.FAULT, outcome)
+    assert state.error_code == ErrorCode.INTERNAL
+
+
+@pytest.mark.parametrize("fails", ["_begin_shot", "_drain"])
+def test_a_tap_whose_shot_was_not_begun_because_of_a_program_error_was_not_fired(
+    monkeypatch: pytest.MonkeyPatch, fails: str
+) -> None:
+    """The program error occurs before or after the job of the shot was created."""
+    pair = Pair()
+    call = pair.begin()
+    made = pair.arm.on_request("hold_still", call.request, 1, at(START + 0.002))
+    (answer,) = [effect for effect in made if isinstance(effect, Answer)]
+    with monkeypatch.context() as broken:
+        broken.setattr(pair.tapper, fails, raise_error)
+        with pytest.raises(ValueError, match="defect"):
+            pair.tapper.on_answer(call.token, answer.response, at(START + 0.004))
+    made = pair.tapper.on_defect(PROGRAM_ERROR, at(START + 0.004))
+    assert not jobs(made)
+    assert reported(pair.tapper, START + 0.01).outcome == TapperState.NOT_FIRED
+
+
+def test_a_program_error_before_charging_ends_the_tap() -> None:
+    pair = Pair()
+    pair.configure_tapper(at(START))
+    pair.tapper.on_message("tap_command", pair.command(TapCommand.TAP, at(START)), at(START))
+    defect(pair.tapper)
+    state = reported(pair.tapper, START + 0.02)
+    assert (state.tap_id, state.outcome) == (TAP, TapperState.NOT_FIRED)
+
+
+def raise_error(*_: object) -> None:
+    raise PROGRAM_ERROR
 
 
 @pytest.mark.parametrize("stopped", [False, True])

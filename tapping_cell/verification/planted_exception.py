@@ -1,0 +1,68 @@
+"""Exception at a random line of a node's code, as an unknown defect of the code raises it.
+
+After such an exception, the node's state machine must stop its device or end its goal
+(``on_defect``), and the state that it keeps must still be usable.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from types import FrameType
+from typing import Any, TypeVar
+
+import tapping_cell.hardware
+import tapping_cell.logic
+
+FOLDERS = tuple(str(Path(room.__path__[0])) for room in (tapping_cell.logic, tapping_cell.hardware))
+"""Folders of the code whose lines are counted: state machines, their jobs and drivers."""
+SIMULATOR = str(Path(__file__).parent)
+
+Result = TypeVar("Result")
+
+
+class PlantedError(Exception):
+    """The planted exception."""
+
+
+class PlantedException:
+    """Raises :class:`PlantedError` once, at the start of a line of the node's code, after ``lines``
+    other lines. The lines of all calls of :meth:`run` are counted together, but not the lines that
+    the simulator executes when it is called by the node's code."""
+
+    def __init__(self, lines: int) -> None:
+        self._left = lines
+
+    def run(self, call: Callable[..., Result], *arguments: Any) -> Result:
+        """Call a handler or a job and return its result."""
+        simulator_frames = 0
+
+        def enter(frame: FrameType, event: str, argument: Any) -> Any:
+            nonlocal simulator_frames
+            name = frame.f_code.co_filename
+            if name.startswith(SIMULATOR):
+                simulator_frames += 1
+                return leave
+            return count if name.startswith(FOLDERS) and not simulator_frames else None
+
+        def leave(frame: FrameType, event: str, argument: Any) -> Any:
+            nonlocal simulator_frames
+            if event == "return":
+                simulator_frames -= 1
+            return leave
+
+        def count(frame: FrameType, event: str, argument: Any) -> Any:
+            if event == "line":
+                self._left -= 1
+                if self._left == -1:
+                    name = Path(frame.f_code.co_filename).name
+                    raise PlantedError(f"{name}:{frame.f_lineno}")
+            return count
+
+        before = sys.gettrace()
+        sys.settrace(enter)
+        try:
+            return call(*arguments)
+        finally:
+            sys.settrace(before)
