@@ -19,7 +19,7 @@ EXCEPTION_MUTANTS: tuple[Mutant, ...] = (
     Mutant(
         "reports no fault after an internal error",
         DEVICE,
-        "        else:\n            self._fail(now)\n",
+        "        elif self._configured:\n            self._fail(now)\n",
         "",
         kinds=KINDS,
     ),
@@ -29,6 +29,20 @@ EXCEPTION_MUTANTS: tuple[Mutant, ...] = (
         "        if self._stops.stopped and self.state is not self.stopped_state:\n",
         "        if False:\n",
         kinds=KINDS,
+    ),
+    Mutant(
+        "loses a stop if the handler of its request raises",
+        DEVICE,
+        'lost.service == "~/stop" and self._stops.press():\n',
+        "False:\n",
+        kinds=(*KINDS, *KINDS, "kill"),
+    ),
+    Mutant(
+        "clears an internal error although an emergency stop is held",
+        DEVICE,
+        "        return self._stops.stopped or self._had_exception\n",
+        "        return self._stops.stopped\n",
+        kinds=(*KINDS, "emergency stop"),
     ),
     Mutant(
         "loses the outcome of a shot if the handler of its end raises",
