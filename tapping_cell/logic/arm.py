@@ -240,6 +240,9 @@ class ArmLogic(DeviceLogic[State, Event]):
         which it refuses queries."""
         self._clears = False
         """Whether a person has requested the end of this state."""
+        self._is_released = False
+        """Whether no enabling device was held at the end of the last attempt to connect, although
+        set-up mode requires one."""
 
     # Messages and requests
 
@@ -662,6 +665,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         return of_arm(fault)
 
     def _configured_with(self, event: Configured, now: Now) -> None:
+        self._is_released = False
         self._cell = event.cell
         self._geometry = event.cell.arm.geometry()
         self._longest_hold = permit.longest_hold(event.cell)
@@ -678,17 +682,19 @@ class ArmLogic(DeviceLogic[State, Event]):
             self._error = (ErrorCode.ARM_NOT_CONNECTED, "the arm is not connected")
 
     def before_connect(self, driver: ArmDriver) -> None:
-        """Stop the arm first if a stop was received before the port is open. Reset the controller
-        if a person has cleared the state in which it refuses queries."""
-        if self._stops.stopped:
+        """Stop the arm first if a stop was received before the port is open, or if no enabling
+        device was held at the end of the last attempt. Reset the controller if a person has cleared
+        the state in which it refuses queries."""
+        if self._stops.stopped or self._is_released:
             # The arm may still complete a move that an earlier process of this node has commanded.
             driver.stop_when_opened()
         if self._clears:
             self._clears = False
             driver.clear_fault(self.patience)
 
-    def _unreachable(self, fault: HardwareFault) -> None:
+    def _unreachable(self, fault: HardwareFault, now: Now) -> None:
         self._locked = fault.reason is FaultReason.REJECTED
+        self._is_released = not self._enabled(now)
 
     def _clears_at_next_attempt(self) -> bool:
         self._clears = self._locked

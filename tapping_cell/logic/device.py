@@ -36,12 +36,13 @@ from tapping_cell.logic.host import (
     Configured,
     Deactivated,
     LifecycleEvent,
+    LostEvent,
     UnansweredRequest,
     Unreachable,
 )
 from tapping_cell.logic.tap_commands import CodedError
 from tapping_cell.logic.transitions import StateMachine
-from tapping_cell.messages import ErrorCode, StopState, Time, Trigger
+from tapping_cell.messages import Bool, ErrorCode, StopState, Time, Trigger
 
 FIRST_TIMEOUT_S = 1.0
 """Timeout of the first attempt to open a port and receive a reply."""
@@ -216,7 +217,7 @@ class DeviceLogic(ABC, Generic[State, Event]):
         """Prepare the device for the next attempt to configure the node. Called in the thread that
         connects; raises HardwareFault."""
 
-    def _unreachable(self, fault: HardwareFault) -> None:
+    def _unreachable(self, fault: HardwareFault, now: Now) -> None:
         """Process the fault that made an attempt to configure the node fail."""
 
     def _clears_at_next_attempt(self) -> bool:
@@ -243,7 +244,7 @@ class DeviceLogic(ABC, Generic[State, Event]):
             self._publish_stops(now)
         elif isinstance(event, Unreachable):
             self.patience = patience_after(self.patience, event.fault)
-            self._unreachable(event.fault)
+            self._unreachable(event.fault, now)
             if self.state is not self.stopped_state:
                 self._error = (self._code_of(event.fault), event.fault.sentence)
         elif isinstance(event, Activated):
@@ -330,7 +331,7 @@ class DeviceLogic(ABC, Generic[State, Event]):
         return self._drain(now)
 
     def on_defect(
-        self, error: Exception, now: Now, lost: UnansweredRequest | JobEnded | None = None
+        self, error: Exception, now: Now, lost: LostEvent | None = None
     ) -> Sequence[Effect]:
         """Stop the device and report INTERNAL after a handler has raised ``error``."""
         unstarted = range(self._handed_out + 1, self._jobs + 1)
@@ -343,8 +344,7 @@ class DeviceLogic(ABC, Generic[State, Event]):
             or (isinstance(effect, KeepStop) and effect.content is not None)
         ]
         self._effects.append(StopWire())
-        if isinstance(lost, UnansweredRequest) and lost.service == "~/stop" and self._stops.press():
-            self._keep_stops(now)
+        self._latch_lost_stop(lost, now)
         self._defect(error, now)
         for job in unstarted:
             self._overtaken(JobEnded(job, fault=NOT_STARTED), now)
@@ -352,7 +352,7 @@ class DeviceLogic(ABC, Generic[State, Event]):
         self._resets.clear()
         if isinstance(lost, JobEnded):
             self._overtaken(lost, now)
-        elif lost is not None:
+        elif isinstance(lost, UnansweredRequest):
             unanswered[lost.token] = lost.service
         for effect in self._effects:
             if isinstance(effect, Answer):
@@ -362,6 +362,16 @@ class DeviceLogic(ABC, Generic[State, Event]):
         return self._drain(now)
 
     # Helpers for the devices
+
+    def _latch_lost_stop(self, lost: LostEvent | None, now: Now) -> None:
+        """Latch and store the stop that a handler received before it raised, if any."""
+        if isinstance(lost, Bool) and lost.data:
+            self._stops.receive(True)
+        elif isinstance(lost, UnansweredRequest) and lost.service == "~/stop":
+            self._stops.press()
+        else:
+            return
+        self._keep_stops(now)
 
     def _end(self, event: JobEnded, name: str, now: Now) -> None:
         fault = event.fault

@@ -16,6 +16,7 @@ from tapping_cell.configuration.cell import Cell
 from tapping_cell.hardware.faults import HardwareFault
 from tapping_cell.logic.clock import Now
 from tapping_cell.logic.effects import Content, Effect, JobEnded, JobProgress, Message, Token
+from tapping_cell.messages import Bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,6 +67,11 @@ class UnansweredRequest:
     token: Token
 
 
+LostEvent = UnansweredRequest | JobEnded | Bool
+"""Event whose handler has raised and that must not be lost: a request, the end of a job, or a
+message on ``emergency_stop``."""
+
+
 class Logic(Protocol):
     """Interface of a state machine."""
 
@@ -98,10 +104,10 @@ class Logic(Protocol):
         """Handle the timer."""
 
     def on_defect(
-        self, error: Exception, now: Now, lost: UnansweredRequest | JobEnded | None = None
+        self, error: Exception, now: Now, lost: LostEvent | None = None
     ) -> Sequence[Effect]:
         """Go to a safe state and report INTERNAL after a handler has raised ``error``.
 
-        ``lost``: the request or the end of a job that the handler received, if it received one. A
-        request is answered with a failure.
+        ``lost``: the event of the handler, if it must not be lost. A request is answered with a
+        failure, and a stop is latched.
         """

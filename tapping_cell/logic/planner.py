@@ -44,6 +44,7 @@ from tapping_cell.logic.host import (
     Configured,
     Deactivated,
     LifecycleEvent,
+    LostEvent,
     UnansweredRequest,
 )
 from tapping_cell.logic.learnt import to_message as learnt_message
@@ -417,7 +418,7 @@ class PlannerLogic:
         return self._drain()
 
     def on_defect(
-        self, error: Exception, now: Now, lost: UnansweredRequest | JobEnded | None = None
+        self, error: Exception, now: Now, lost: LostEvent | None = None
     ) -> Sequence[Effect]:
         """End the tap and the goal after a handler has raised ``error``."""
         # What the handler has already decided still takes effect, for example a withdrawal or an

@@ -30,6 +30,7 @@ from tapping_cell.logic.host import (
     Deactivated,
     LifecycleEvent,
     Logic,
+    LostEvent,
     ShutDown,
     UnansweredRequest,
 )
@@ -127,7 +128,8 @@ class LogicHost(Generic[Machine]):
 
     def receive(self, topic: str, message: Any) -> None:
         """Pass a message to the state machine."""
-        self._dispatch(lambda now: self._logic.on_message(topic, message, now))
+        stop = message if topic == stops.TOPIC else None
+        self._dispatch(lambda now: self._logic.on_message(topic, message, now), stop)
         if topic == stops.TOPIC and message.data:
             # Querying the graph takes time, so the stop is dispatched first.
             self._stop_publishers |= self._present_publishers()
@@ -174,7 +176,7 @@ class LogicHost(Generic[Machine]):
     def _dispatch(
         self,
         handler: Callable[[Now], Sequence[fx.Effect]],
-        received: UnansweredRequest | fx.JobEnded | None = None,
+        received: LostEvent | None = None,
     ) -> None:
         with self._lock:
             try:

@@ -12,8 +12,8 @@ EXCEPTION_MUTANTS: tuple[Mutant, ...] = (
     Mutant(
         "does not stop the device after an internal error",
         DEVICE,
-        "        self._effects.append(StopWire())\n        self._defect(error, now)\n",
-        "        self._defect(error, now)\n",
+        "        self._effects.append(StopWire())\n        self._latch_lost_stop(lost, now)\n",
+        "        self._latch_lost_stop(lost, now)\n",
         kinds=KINDS,
     ),
     Mutant(
@@ -31,10 +31,10 @@ EXCEPTION_MUTANTS: tuple[Mutant, ...] = (
         kinds=KINDS,
     ),
     Mutant(
-        "loses a stop if the handler of its request raises",
+        "loses a stop if its handler raises",
         DEVICE,
-        'lost.service == "~/stop" and self._stops.press():\n',
-        "False:\n",
+        "        self._latch_lost_stop(lost, now)\n        self._defect(error, now)\n",
+        "        self._defect(error, now)\n",
         kinds=(*KINDS, *KINDS, "kill"),
     ),
     Mutant(

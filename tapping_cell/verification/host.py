@@ -43,6 +43,7 @@ from tapping_cell.logic.host import (
     Deactivated,
     LifecycleEvent,
     Logic,
+    LostEvent,
     ShutDown,
     UnansweredRequest,
     Unreachable,
@@ -244,6 +245,11 @@ class Process:
         return self._life
 
     @property
+    def configured(self) -> bool:
+        """Whether the node has connected to its device, if it has one, since its start."""
+        return self._configured
+
+    @property
     def runs_since(self) -> float:
         """Time since which the process has run without a freeze, s; inf while it does not run."""
         if not self.alive or self._scheduler.now < self.frozen_until:
@@ -385,7 +391,8 @@ class Process:
     def _take(self, topic: str, message: Any) -> None:
         if topic == "emergency_stop" and isinstance(message, Bool) and message.data:
             self._stop_publishers |= self._present_publishers()
-        self._handle(self.logic.on_message, topic, message)
+        stop = message if topic == "emergency_stop" else None
+        self._handle(self.logic.on_message, topic, message, received=stop)
         self.on_handled(self.name, topic, message)
 
     def _serve(self, service: str) -> Callable[[Any, Callable[[Any], None]], None]:
@@ -414,11 +421,11 @@ class Process:
         self,
         call: Callable[..., Sequence[Effect]],
         *arguments: Any,
-        received: UnansweredRequest | JobEnded | None = None,
+        received: LostEvent | None = None,
     ) -> None:
         """Call a handler of the state machine with these arguments and the time, and carry out the
-        effects that it returns. ``received``: the request or the end of a job that the handler
-        receives, if any."""
+        effects that it returns. ``received``: the event that the handler receives, if it must not
+        be lost."""
         if not self.alive:
             return
         try:

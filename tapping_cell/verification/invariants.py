@@ -162,6 +162,8 @@ class InvariantChecker:
     violations: list[Violation] = field(default_factory=list)
     commands: dict[int, TapCommand] = field(default_factory=dict)
     ended_taps: dict[int, float] = field(default_factory=dict)
+    ended_before_restart: set[int] = field(default_factory=set)
+    """Taps that ended while an earlier process of the tapper ran."""
     outcomes: dict[int, int] = field(default_factory=dict)
     stopped_at: dict[str, float] = field(default_factory=dict)
     motion_allowed: bool = True
@@ -1110,6 +1112,8 @@ class InvariantChecker:
         if report is None or not report.tap_id or report.state != TapperState.SAFE:
             return
         ended = self.ended_taps.get(report.tap_id, math.inf)
+        if report.tap_id in self.ended_before_restart:
+            return  # the present process does not know that the tap was withdrawn
         if report.outcome == TapperState.NONE and self.scheduler.now > ended + OUTCOME_S:
             self.violate(
                 "tap without an outcome",

@@ -32,6 +32,9 @@ two periods of the node's timer and the time on the line."""
 STOP_S = 1.5
 """Maximum time from the release of the device until the arm is at rest, s. This time includes the
 delivery of the stop to the controller and the braking."""
+CONNECTION_S = 4.0
+"""The same time, s, if the arm's node was started during the motion and still tries to connect: it
+sends the stop at the beginning of an attempt, 1 s after the end of the last one."""
 SPEED = 0.25
 """Maximum speed in set-up mode, as a fraction of the maximum joint speeds."""
 ENERGY_J, ENERGY_SHARE = 0.005, 0.03
@@ -47,13 +50,15 @@ class SetUpChecker:
     """Checks the invariants of set-up mode. Times are in s from the start of the run.
 
     ``violate`` records a violation. ``arm_runs_since`` returns the time since which the arm's
-    process runs without a freeze; inf while it does not run.
+    process runs without a freeze; inf while it does not run. ``arm_connected`` returns whether the
+    arm's node has connected since its start.
     """
 
     scheduler: Scheduler
     physical: PhysicalCell
     violate: Callable[[str, str], None]
     arm_runs_since: Callable[[], float]
+    arm_connected: Callable[[], bool]
     has_arm: bool = True
     tapper_frozen_until: Callable[[], float] = lambda: -math.inf
     """Return the time until which the tapper's process is or was frozen."""
@@ -176,7 +181,7 @@ class SetUpChecker:
                 f"the arm began to move {since:.2f} s after the enabling device was released",
             )
             self._told = True
-        elif since > STOP_S:
+        elif since > (STOP_S if self.arm_connected() else CONNECTION_S):
             self.violate(
                 "moves on without enabling",
                 f"the arm still moves {since:.2f} s after the enabling device was released",

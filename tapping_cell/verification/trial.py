@@ -478,6 +478,7 @@ class Trial:
             self.physical,
             self.checker.violate,
             self.checker.arm_runs_since,
+            lambda: self.processes["scara_arm"].configured,
             has_arm="scara_arm" in self.processes,
             tapper_frozen_until=lambda: self.processes["tapper_trigger"].frozen_until,
             arm_knows_clock=self._arm_knows_clock,
@@ -1058,6 +1059,7 @@ class Trial:
             self._taps_of_arm.clear()
         if node == "tapper_trigger":
             self.checker.future_received.clear()
+            self.checker.ended_before_restart.update(self.checker.ended_taps)
         if node == "tap_planner":
             self.checker.on_planner_killed(crash)
             self._goal_token = 0

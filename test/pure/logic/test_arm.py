@@ -36,7 +36,13 @@ from tapping_cell.logic.effects import (
     StopLevels,
     StopWire,
 )
-from tapping_cell.logic.host import Activated, Configured, Deactivated, UnansweredRequest
+from tapping_cell.logic.host import (
+    Activated,
+    Configured,
+    Deactivated,
+    LostEvent,
+    UnansweredRequest,
+)
 from tapping_cell.messages import (
     ArmState,
     Bool,
@@ -251,10 +257,12 @@ def test_a_stop_that_a_program_error_interrupts_is_completed(
     assert arm.stopped and arm.state is arms.State.STOPPED
 
 
-def test_a_stop_whose_handler_raises_is_latched_and_stored() -> None:
+@pytest.mark.parametrize(
+    "stop", [UnansweredRequest("~/stop", Trigger.Request(), 1), Bool(data=True)]
+)
+def test_a_stop_whose_handler_raises_is_latched_and_stored(stop: LostEvent) -> None:
     arm = in_position().arm
-    request = UnansweredRequest("~/stop", Trigger.Request(), 1)
-    made = arm.on_defect(ValueError("a defect"), at(START + 1.0), request)
+    made = arm.on_defect(ValueError("a defect"), at(START + 1.0), stop)
     assert arm.stopped and arm.state is arms.State.STOPPED
     assert any(isinstance(effect, KeepStop) for effect in made)
 

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from test_permit import CELL, START, Pair, at, board, jobs, messages
 
+from tapping_cell.hardware.faults import FaultReason, HardwareFault
 from tapping_cell.hardware.scara import Joints
 from tapping_cell.hardware.tapper_protocol import State as BoardState
 from tapping_cell.logic import arm as arms
@@ -18,7 +21,7 @@ from tapping_cell.logic.arm_jobs import Reading
 from tapping_cell.logic.clock import to_stamp
 from tapping_cell.logic.effects import Answer, JobEnded, StopWire
 from tapping_cell.logic.enabling import HEARTBEAT_S, EnablingDevice
-from tapping_cell.logic.host import Activated, Configured
+from tapping_cell.logic.host import Activated, Configured, Unreachable
 from tapping_cell.logic.tapper_jobs import Status
 from tapping_cell.messages import Bool, ErrorCode, TapCommand, TapperState, Trigger
 
@@ -64,6 +67,24 @@ def test_a_device_counts_as_held_only_within_the_heartbeat_timeout(
         for later in (0.0, HEARTBEAT_S / 2, HEARTBEAT_S * 1.01):
             wanted = now + later - max(last.values()) <= HEARTBEAT_S
             assert device.held(at(now + later)) == wanted
+
+
+@pytest.mark.parametrize("set_up", [True, False])
+@pytest.mark.parametrize("held", [True, False])
+def test_a_restarted_node_ends_a_move_of_the_last_process_unless_a_device_is_held(
+    set_up: bool, held: bool
+) -> None:
+    """While the arm moves, the node cannot connect. Its next attempt begins with a stop."""
+    arm = arms.ArmLogic(arms.ArmOptions(set_up=set_up))
+    stops: list[bool] = []
+    driver: Any = SimpleNamespace(stop_when_opened=lambda: stops.append(True))
+    arm.before_connect(driver)
+    assert not stops, "the first attempt leaves an arm alone that another program moves"
+    arm.on_message(enabling.TOPIC, HELD if held else RELEASED, at(START))
+    moving = HardwareFault(FaultReason.TIMEOUT, "the arm is still moving")
+    arm.on_lifecycle(Unreachable(moving), at(START + 0.1))
+    arm.before_connect(driver)
+    assert bool(stops) is (set_up and not held)
 
 
 @pytest.mark.parametrize("what", ["tap", "trajectory", "home"])
