@@ -107,8 +107,6 @@ class DeviceLogic(ABC, Generic[State, Event]):
         """Last job that clears a stop or a fault."""
         self._resets: set[Token] = set()
         """Requests to clear that wait for the levels of the publishers of ``emergency_stop``."""
-        self._had_exception = False
-        """Whether this program has raised an exception since the last fault was cleared."""
         self._handed_out = 0
         """Number of the last job that the host has received."""
         self._read_at = -1.0
@@ -388,7 +386,6 @@ class DeviceLogic(ABC, Generic[State, Event]):
             self._overtaken(event, now)
 
     def _defect(self, error: Exception, now: Now) -> None:
-        self._had_exception = True
         self._reading = None  # its end must not replace the report of the defect
         if self._stops.stopped and self.state is not self.stopped_state:
             self._stop(now)  # the exception has interrupted the stop
@@ -478,7 +475,7 @@ class DeviceLogic(ABC, Generic[State, Event]):
             self._answer(token, True, "clearing has started; the node's state reports its result")
         elif not self._configured:
             self._answer(token, False, self._error[1])
-        elif self._may_be_stopped():
+        elif self._stops.stopped:
             self._resets.add(token)
             self._effects.append(AskStops(("reset", token, self._stops.begin_reset(now))))
         elif self._healthy():
@@ -491,7 +488,7 @@ class DeviceLogic(ABC, Generic[State, Event]):
     ) -> None:
         if token not in self._resets:
             return  # answered after an internal error
-        if not self._configured or not self._may_be_stopped():
+        if not self._configured or not self._stops.stopped:
             self._answer(token, False, "the node's state changed meanwhile; call the service again")
             return
         refusal = self._stops.try_reset(reset, levels, now)
@@ -503,11 +500,6 @@ class DeviceLogic(ABC, Generic[State, Event]):
         self._publish_stops(now)
         self._clear_granted(token, now)
 
-    def _may_be_stopped(self) -> bool:
-        """Return whether a stop is latched, or was perhaps not latched because of an exception."""
-        return self._stops.stopped or self._had_exception
-
     def _clear_granted(self, token: Token, now: Now) -> None:
-        self._had_exception = False
         self._begin_clear(now)
         self._answer(token, True, "clearing has started; the node's state reports its result")

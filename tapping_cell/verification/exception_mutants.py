@@ -38,13 +38,6 @@ EXCEPTION_MUTANTS: tuple[Mutant, ...] = (
         kinds=(*KINDS, *KINDS, "kill"),
     ),
     Mutant(
-        "clears an internal error although an emergency stop is held",
-        DEVICE,
-        "        return self._stops.stopped or self._had_exception\n",
-        "        return self._stops.stopped\n",
-        kinds=(*KINDS, "emergency stop"),
-    ),
-    Mutant(
         "loses the outcome of a shot if the handler of its end raises",
         DEVICE,
         "            self._overtaken(lost, now)\n        elif",
