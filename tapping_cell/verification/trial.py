@@ -1104,7 +1104,7 @@ class Trial:
     def _on_planted(self, node: str, place: str) -> None:
         self._note(f"EXCEPTION in {node} at {place}")
         self.note_kind(f"exception in {node}")
-        self.note_disturbance(0.0)
+        self.note_disturbance(0.0)  # the fault may have been injected during an earlier goal
         self.report.by_node[f"exception {node}"] += 1
         if node == "scara_arm":
             # The arm has a fault now, until it is cleared and homed.
