@@ -106,8 +106,8 @@ TAPPER_POWER = frozenset(
 )
 POWER = ARM_POWER | TAPPER_POWER
 ARM_ENDS, TAPPER_ENDS = frozenset({"end of scara_arm"}), frozenset({"end of tapper_trigger"})
-ARM_EXCEPTION, TAPPER_EXCEPTION = "exception in scara_arm", "exception in tapper_trigger"
-EXCEPTIONS = frozenset({"exception in tap_planner", ARM_EXCEPTION, TAPPER_EXCEPTION})
+ARM_EXCEPTION = "exception in scara_arm"
+EXCEPTIONS = frozenset({"exception in tap_planner", ARM_EXCEPTION, "exception in tapper_trigger"})
 ARM_STOPS = frozenset({"emergency stop", "stop of scara_arm"})
 TAPPER_STOPS = frozenset({"emergency stop", "stop of tapper_trigger"})
 DELAYS = FREEZES | ENDS | LINKS | LINES | {"deactivate", "second node"}

@@ -186,11 +186,11 @@ def test_a_defect_at_the_start_of_a_goal_answers_both_clients(
     assert clients.process.disk.goal is None, "neither goal is resumed after a crash"
 
 
-@pytest.mark.parametrize("fails", ["_publish_withdrawal", "_report", "_park"])
-def test_a_tap_is_withdrawn_if_the_cancellation_of_its_goal_raises(
-    monkeypatch: pytest.MonkeyPatch, fails: str
-) -> None:
-    clients = Clients()
+def fail_at_cancellation(
+    monkeypatch: pytest.MonkeyPatch, clients: Clients, fails: str
+) -> list[str]:
+    """Cancel the first goal, and let this method of the planner raise once meanwhile. Return the
+    name of the method as soon as it has raised."""
     logic = clients.process.logic
     shipped, raised = getattr(logic, fails), []
 
@@ -201,8 +201,17 @@ def test_a_tap_is_withdrawn_if_the_cancellation_of_its_goal_raises(
         return shipped(*arguments)
 
     monkeypatch.setattr(logic, fails, fail_once)
-    (tap,) = clients.taps()
     clients.process.request("cancel", None, 1, lambda _: None, waits=False)
+    return raised
+
+
+@pytest.mark.parametrize("fails", ["_publish_withdrawal", "_report", "_park"])
+def test_a_tap_is_withdrawn_if_the_cancellation_of_its_goal_raises(
+    monkeypatch: pytest.MonkeyPatch, fails: str
+) -> None:
+    clients = Clients()
+    (tap,) = clients.taps()
+    raised = fail_at_cancellation(monkeypatch, clients, fails)
     clients.run(0.02)
     withdrawn = [one.tap_id for one in clients.commands if one.request == TapCommand.WITHDRAW]
     assert raised and tap.tap_id in withdrawn
@@ -248,17 +257,7 @@ def test_the_last_tap_counts_once_if_the_end_of_its_goal_raises(
     monkeypatch: pytest.MonkeyPatch, fails: str
 ) -> None:
     clients = Clients()
-    logic = clients.process.logic
-    shipped, raised = getattr(logic, fails), []
-
-    def fail_once(*arguments: Any) -> Any:
-        if not raised and logic.state is State.CANCELED:
-            raised.append(fails)
-            raise ZeroDivisionError("defect")
-        return shipped(*arguments)
-
-    monkeypatch.setattr(logic, fails, fail_once)
     assert clients.taps()
-    clients.process.request("cancel", None, 1, lambda _: None, waits=False)
+    raised = fail_at_cancellation(monkeypatch, clients, fails)
     clients.wait(lambda: clients.first, "the client's result")
     assert raised and clients.first[0].taps == 1

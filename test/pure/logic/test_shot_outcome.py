@@ -18,7 +18,7 @@ from tapping_cell.hardware.tapper import FireOutcome, FireResult
 from tapping_cell.hardware.tapper_protocol import Reply
 from tapping_cell.hardware.tapper_protocol import State as BoardState
 from tapping_cell.logic import tapper_jobs
-from tapping_cell.logic.effects import Answer, JobContext, JobEnded, StopWire
+from tapping_cell.logic.effects import Answer, Effect, JobContext, JobEnded, StopWire
 from tapping_cell.logic.host import Configured, ShutDown
 from tapping_cell.logic.tapper import TapperLogic
 from tapping_cell.logic.tapper_jobs import FireEnd, Status
@@ -55,14 +55,22 @@ def test_an_outcome_that_the_board_does_not_confirm_is_unknown(
     assert agrees or reported is FireOutcome.UNKNOWN or "contradict" in end.sentence
 
 
-def firing() -> tuple[TapperLogic, int]:
-    """Return a tapper that fires, and the number of the job of its shot."""
+def charged() -> tuple[TapperLogic, Callable[[], list[Effect]]]:
+    """Return a tapper that waits for the arm's answer to ``hold_still``, and a function that lets
+    the tapper receive this answer."""
     pair = Pair()
     call = pair.begin()
     made = pair.arm.on_request("hold_still", call.request, 1, at(START + 0.002))
     (answer,) = [effect for effect in made if isinstance(effect, Answer)]
-    (fire,) = jobs(pair.tapper.on_answer(call.token, answer.response, at(START + 0.004)))
-    return pair.tapper, fire
+    answered = at(START + 0.004)
+    return pair.tapper, lambda: pair.tapper.on_answer(call.token, answer.response, answered)
+
+
+def firing() -> tuple[TapperLogic, int]:
+    """Return a tapper that fires, and the number of the job of its shot."""
+    tapper, receive_answer = charged()
+    (fire,) = jobs(receive_answer())
+    return tapper, fire
 
 
 def idle() -> TapperLogic:
@@ -85,10 +93,7 @@ def defect(tapper: TapperLogic) -> None:
 
 
 FIRED = FireEnd(TAP, FireOutcome.FIRED, "", None, None, None, None)
-
-
-@pytest.mark.parametrize("interruptions", [(stop,), (stop, stop), (defect,), (stop, defect)])
-@pytest.mark.parametrize(
+each_end = pytest.mark.parametrize(
     ("end", "outcome"),
     [
         ({"fault": STOPPED}, TapperState.NOT_FIRED),
@@ -97,6 +102,11 @@ FIRED = FireEnd(TAP, FireOutcome.FIRED, "", None, None, None, None)
     ],
     ids=["stopped", "program error", "fired"],
 )
+"""Each way in which the job of a shot can end, with the outcome of the shot."""
+
+
+@pytest.mark.parametrize("interruptions", [(stop,), (stop, stop), (defect,), (stop, defect)])
+@each_end
 def test_a_shot_that_is_interrupted_gets_its_true_outcome(
     interruptions: tuple[Callable[[TapperLogic], None], ...], end: dict[str, object], outcome: int
 ) -> None:
@@ -116,15 +126,7 @@ def test_a_shot_whose_job_ends_by_a_program_error_may_have_been_fired() -> None:
     assert state.error_code == ErrorCode.INTERNAL
 
 
-@pytest.mark.parametrize(
-    ("end", "outcome"),
-    [
-        ({"fault": STOPPED}, TapperState.NOT_FIRED),
-        ({"fault": PROGRAM_ERROR}, TapperState.UNKNOWN),
-        ({"result": FIRED}, TapperState.FIRED),
-    ],
-    ids=["stopped", "program error", "fired"],
-)
+@each_end
 def test_a_shot_whose_end_meets_a_program_error_gets_its_true_outcome(
     end: dict[str, object], outcome: int
 ) -> None:
@@ -141,17 +143,13 @@ def test_a_tap_whose_shot_was_not_begun_because_of_a_program_error_was_not_fired
     monkeypatch: pytest.MonkeyPatch, fails: str
 ) -> None:
     """The program error occurs before or after the job of the shot was created."""
-    pair = Pair()
-    call = pair.begin()
-    made = pair.arm.on_request("hold_still", call.request, 1, at(START + 0.002))
-    (answer,) = [effect for effect in made if isinstance(effect, Answer)]
+    tapper, receive_answer = charged()
     with monkeypatch.context() as broken:
-        broken.setattr(pair.tapper, fails, raise_error)
+        broken.setattr(tapper, fails, raise_error)
         with pytest.raises(ValueError, match="defect"):
-            pair.tapper.on_answer(call.token, answer.response, at(START + 0.004))
-    made = pair.tapper.on_defect(PROGRAM_ERROR, at(START + 0.004))
-    assert not jobs(made)
-    assert reported(pair.tapper, START + 0.01).outcome == TapperState.NOT_FIRED
+            receive_answer()
+    assert not jobs(tapper.on_defect(PROGRAM_ERROR, at(START + 0.004)))
+    assert reported(tapper, START + 0.01).outcome == TapperState.NOT_FIRED
 
 
 def test_a_program_error_before_charging_ends_the_tap() -> None:
