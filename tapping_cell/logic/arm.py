@@ -765,7 +765,7 @@ class ArmLogic(DeviceLogic[State, Event]):
             self._run("send stop", partial(arm_jobs.send_stop, patience=self.patience))
 
     def _fail(self, now: Now) -> None:
-        if not self._stops.stopped:
+        if self.state is not S.STOPPED:
             self._fail_to(S.FAULT)
 
     def _fail_to(self, target: State) -> None:

@@ -333,16 +333,11 @@ class DeviceLogic(ABC, Generic[State, Event]):
     ) -> Sequence[Effect]:
         """Stop the device and report INTERNAL after a handler has raised ``error``."""
         unstarted = range(self._handed_out + 1, self._jobs + 1)
-        # A stop that the handler has already processed is still stored, and requests that it has
-        # already answered receive no other answer.
-        self._effects = [
-            effect
-            for effect in self._effects
-            if isinstance(effect, Answer | AbandonJob)
-            or (isinstance(effect, KeepStop) and effect.content is not None)
-        ]
+        # Requests that the handler has already answered receive no other answer.
+        self._effects = [e for e in self._effects if isinstance(e, Answer | AbandonJob)]
         self._effects.append(StopWire())
-        self._latch_lost_stop(lost, now)
+        self._latch_lost_stop(lost)
+        self._keep_stops(now)  # the handler may have latched or reset a stop
         self._defect(error, now)
         for job in unstarted:
             self._overtaken(JobEnded(job, fault=NOT_STARTED), now)
@@ -361,15 +356,12 @@ class DeviceLogic(ABC, Generic[State, Event]):
 
     # Helpers for the devices
 
-    def _latch_lost_stop(self, lost: LostEvent | None, now: Now) -> None:
-        """Latch and store the stop that a handler received before it raised, if any."""
+    def _latch_lost_stop(self, lost: LostEvent | None) -> None:
+        """Latch the stop that a handler received before it raised, if any."""
         if isinstance(lost, Bool) and lost.data:
             self._stops.receive(True)
         elif isinstance(lost, UnansweredRequest) and lost.service == "~/stop":
             self._stops.press()
-        else:
-            return
-        self._keep_stops(now)
 
     def _end(self, event: JobEnded, name: str, now: Now) -> None:
         fault = event.fault
@@ -458,6 +450,7 @@ class DeviceLogic(ABC, Generic[State, Event]):
     # Stops
 
     def _keep_stops(self, now: Now) -> None:
+        """Store and publish the latched stops."""
         self._effects.append(KeepStop(self._stops.content()))
         self._publish_stops(now)
 
@@ -496,8 +489,7 @@ class DeviceLogic(ABC, Generic[State, Event]):
             self._log(LogLevel.WARNING, refusal)
             self._answer(token, False, refusal)
             return
-        self._effects.append(KeepStop(None))
-        self._publish_stops(now)
+        self._keep_stops(now)
         self._clear_granted(token, now)
 
     def _clear_granted(self, token: Token, now: Now) -> None:

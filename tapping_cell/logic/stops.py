@@ -65,8 +65,11 @@ class StopLatch:
             return "release the emergency stop, make the cell safe, then clear the stop"
         return "make the cell safe, then clear the stop"
 
-    def content(self) -> Content:
-        """Return the latched stops as content to be stored for a restart."""
+    def content(self) -> Content | None:
+        """Return the latched stops as content to be stored for a restart, or None if no stop is
+        latched."""
+        if not self._sources:
+            return None
         return {"sources": list(self._sources), "asserted": self._asserted}
 
     def recall(self, content: Content | None) -> None:

@@ -12,8 +12,8 @@ EXCEPTION_MUTANTS: tuple[Mutant, ...] = (
     Mutant(
         "does not stop the device after an internal error",
         DEVICE,
-        "        self._effects.append(StopWire())\n        self._latch_lost_stop(lost, now)\n",
-        "        self._latch_lost_stop(lost, now)\n",
+        "        self._effects.append(StopWire())\n        self._latch_lost_stop(lost)\n",
+        "        self._latch_lost_stop(lost)\n",
         kinds=KINDS,
     ),
     Mutant(
@@ -33,8 +33,22 @@ EXCEPTION_MUTANTS: tuple[Mutant, ...] = (
     Mutant(
         "loses a stop if its handler raises",
         DEVICE,
-        "        self._latch_lost_stop(lost, now)\n        self._defect(error, now)\n",
-        "        self._defect(error, now)\n",
+        "        self._latch_lost_stop(lost)\n",
+        "",
+        kinds=(*KINDS, *KINDS, "kill"),
+    ),
+    Mutant(
+        "cannot handle an internal error while it begins to clear a stop of the arm",
+        "tapping_cell.logic.arm",
+        "        if self.state is not S.STOPPED:\n            self._fail_to(S.FAULT)\n",
+        "        if not self._stops.stopped:\n            self._fail_to(S.FAULT)\n",
+        kinds=(*KINDS, *KINDS, "stop service"),
+    ),
+    Mutant(
+        "does not store the stops after an internal error",
+        DEVICE,
+        "        self._keep_stops(now)  # the handler may have latched or reset a stop\n",
+        "",
         kinds=(*KINDS, *KINDS, "kill"),
     ),
     Mutant(

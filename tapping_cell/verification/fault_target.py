@@ -78,9 +78,9 @@ class FaultTarget(Protocol):
         """Start a second instance of a node, as if by mistake, and kill this instance after
         ``lasting`` s."""
 
-    def plant_exception(self, node: str, lines: int) -> None:
+    def plant_exception(self, node: str, lines: int, function: str = "") -> None:
         """Let one of the next handlers or jobs of a node raise an exception, after ``lines`` lines
-        of its code."""
+        of its code, which are counted from the next call of ``function`` if a name is given."""
 
     def hide_object(self, duration: float) -> None:
         """Hide the object for ``duration`` s, as if a hand covered it."""

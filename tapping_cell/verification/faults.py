@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -10,9 +11,12 @@ from functools import partial
 import numpy as np
 
 from tapping_cell.logic import permit
+from tapping_cell.logic.arm import ArmLogic
 from tapping_cell.logic.clock import to_stamp
 from tapping_cell.logic.host import Activated, Deactivated
 from tapping_cell.logic.peer_clock import WINDOW_S
+from tapping_cell.logic.planner import PlannerLogic
+from tapping_cell.logic.tapper import TapperLogic
 from tapping_cell.messages import (
     ArmState,
     HoldStill,
@@ -162,6 +166,11 @@ def _pick(rng: np.random.Generator, names: tuple[str, ...]) -> str:
 
 
 NODES = ("tap_planner", "scara_arm", "tapper_trigger")
+METHODS = {
+    node: tuple(sorted(name for name, _ in inspect.getmembers(logic, inspect.isfunction)))
+    for node, logic in zip(NODES, (PlannerLogic, ArmLogic, TapperLogic), strict=True)
+}
+"""Methods of each node's state machine."""
 
 
 def _freeze(rng: np.random.Generator, trial: FaultTarget) -> Made:
@@ -896,14 +905,15 @@ def _second_client(rng: np.random.Generator, trial: FaultTarget) -> Made:
 
 
 def _planted(rng: np.random.Generator, trial: FaultTarget) -> Made:
-    """A handler or a job of a node raises an exception at a random line of its code, sometimes
-    while the node handles a request."""
-    node, requested = _pick(rng, trial.nodes), bool(rng.random() < 0.3)
-    lines = round(draw_duration(rng, 1.0, 100.0 if requested else 3000.0))
+    """A handler or a job of a node raises an exception at a random line of its code, of a random
+    method of its state machine, or while the node handles a request."""
+    node, share = _pick(rng, trial.nodes), rng.random()
+    requested, function = share < 0.25, _pick(rng, METHODS[node]) if share > 0.6 else ""
+    lines = round(draw_duration(rng, 1.0, 100.0 if requested or function else 3000.0))
     resets = bool(rng.random() < 0.5)
 
     def strike(t: FaultTarget) -> None:
-        t.plant_exception(node, lines)
+        t.plant_exception(node, lines, function)
         if requested and node == "tap_planner":
             t.cancel_by_service()
         elif requested and resets:
@@ -911,8 +921,10 @@ def _planted(rng: np.random.Generator, trial: FaultTarget) -> Made:
         elif requested:
             t.call_stop(node)
 
-    request = f", during a request to {'reset' if resets else 'stop or cancel'}"
-    return strike, (f"{node} raises an exception after {lines} lines{request if requested else ''}")
+    where = f" of {function}" if function else ""
+    if requested:
+        where = f", during a request to {'reset' if resets else 'stop or cancel'}"
+    return strike, f"{node} raises an exception after {lines} lines{where}"
 
 
 def _disk_full(rng: np.random.Generator, trial: FaultTarget) -> Made:

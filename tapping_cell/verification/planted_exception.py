@@ -32,10 +32,12 @@ class PlantedError(Exception):
 class PlantedException:
     """Raises :class:`PlantedError` once, at the start of a line of the node's code, after ``lines``
     other lines. The lines of all calls of :meth:`run` are counted together, but not the lines that
-    the simulator executes when it is called by the node's code."""
+    the simulator executes when it is called by the node's code. ``function``: name of the function
+    at whose next call the count begins; empty: the count begins at once."""
 
-    def __init__(self, lines: int) -> None:
+    def __init__(self, lines: int, function: str = "") -> None:
         self._left = lines
+        self._function = function
 
     def run(self, call: Callable[..., Result], *arguments: Any) -> Result:
         """Call a handler or a job and return its result."""
@@ -47,7 +49,11 @@ class PlantedException:
             if name.startswith(SIMULATOR):
                 simulator_frames += 1
                 return leave
-            return count if name.startswith(FOLDERS) and not simulator_frames else None
+            if simulator_frames or not name.startswith(FOLDERS):
+                return None
+            if frame.f_code.co_name == self._function:
+                self._function = ""
+            return None if self._function else count
 
         def leave(frame: FrameType, event: str, argument: Any) -> Any:
             nonlocal simulator_frames

@@ -1095,11 +1095,11 @@ class Trial:
         second.start()
         self.scheduler.after(lasting, second.kill, in_main=True)
 
-    def plant_exception(self, node: str, lines: int) -> None:
+    def plant_exception(self, node: str, lines: int, function: str = "") -> None:
         """Let one of the next handlers or jobs of a node raise an exception, after ``lines`` lines
-        of its code."""
+        of its code, which are counted from the next call of ``function`` if a name is given."""
         if self.processes[node].alive:
-            self.processes[node].planted = PlantedException(lines)
+            self.processes[node].planted = PlantedException(lines, function)
 
     def _on_planted(self, node: str, place: str) -> None:
         self._note(f"EXCEPTION in {node} at {place}")

@@ -32,6 +32,7 @@ from tapping_cell.logic.effects import (
     Job,
     JobEnded,
     KeepStop,
+    Publish,
     RunJob,
     StopLevels,
     StopWire,
@@ -279,6 +280,36 @@ def test_a_request_to_clear_is_answered_once_if_a_program_error_occurs_meanwhile
     made = arm.on_answer(asked, StopLevels(False, (), ()), at(START + 2.3))
     assert not any(isinstance(effect, Answer) for effect in made)
     assert arm.state is arms.State.STOPPED
+
+
+@pytest.mark.parametrize("broken", ["_begin_clear", "_answer", "_urgent_content"])
+def test_a_stop_can_be_cleared_again_if_a_program_error_interrupts_its_clearing(
+    broken: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    arm = in_position().arm
+
+    def clear(token: int, now: float) -> int:
+        made = arm.on_request("~/clear_fault", Trigger.Request(), token, at(START + now))
+        return next(effect.token for effect in made if isinstance(effect, AskStops))
+
+    arm.on_request("~/stop", Trigger.Request(), 1, at(START + 1.0))
+    asked = clear(2, 2.0)
+    with monkeypatch.context() as defect:
+        defect.setattr(arm, broken, raise_error)
+        with pytest.raises(ValueError, match="defect"):
+            arm.on_answer(asked, StopLevels(False, (), ()), at(START + 2.3))
+    made = arm.on_defect(ValueError("a defect"), at(START + 2.3))
+    assert arm.error[0] == ErrorCode.INTERNAL
+    (stored,) = (effect for effect in made if isinstance(effect, KeepStop))
+    (told,) = (
+        effect.message
+        for effect in made
+        if isinstance(effect, Publish) and effect.topic == "~/stop_state"
+    )
+    assert arm.stopped == told.stopped == (stored.content is not None)
+    assert arm.state in (arms.State.STOPPED, arms.State.FAULT)
+    made = arm.on_request("~/clear_fault", Trigger.Request(), 3, at(START + 3.0))
+    assert arm.state is arms.State.CLEARING and jobs(made)
 
 
 def raise_error(*_: object) -> None:
