@@ -439,13 +439,22 @@ class Process:
 
     def _call(self, call: Callable[..., Any], *arguments: Any) -> Any:
         """Call a handler or a job, which may raise the planted exception."""
-        return call(*arguments) if self.planted is None else self.planted.run(call, *arguments)
+        planted = self.planted
+        if planted is None:
+            return call(*arguments)
+        result = planted.run(call, *arguments)
+        if planted.place:  # the state machine itself has caught the exception
+            self._planted_raised(planted.place)
+        return result
+
+    def _planted_raised(self, place: str) -> None:
+        self.planted = None
+        self.on_planted(self.name, place)
 
     def _raised(self, error: Exception, where: str) -> None:
         """Process an exception of a handler or a job."""
         if isinstance(error, PlantedError):
-            self.planted = None
-            self.on_planted(self.name, str(error))
+            self._planted_raised(str(error))
         else:
             self.defects.append(f"{where}: {error!r}")
 

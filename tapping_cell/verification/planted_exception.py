@@ -36,6 +36,8 @@ class PlantedException:
     at whose next call the count begins; empty: the count begins at once."""
 
     def __init__(self, lines: int, function: str = "") -> None:
+        self.place = ""
+        """File and line where the exception was raised; empty before."""
         self._left = lines
         self._function = function
 
@@ -68,7 +70,8 @@ class PlantedException:
                 if self._left == -1 and linecache.getline(file, line).strip() == HANDOVER:
                     self._left = 0
                 elif self._left == -1:
-                    raise PlantedError(f"{Path(file).name}:{line}")
+                    self.place = f"{Path(file).name}:{line}"
+                    raise PlantedError(self.place)
             return count
 
         before = sys.gettrace()
