@@ -430,10 +430,13 @@ class PlannerLogic:
         sentence = _internal_error(error)
         if self._task is not None:
             self._finish(S.FAILED, ErrorCode.INTERNAL, sentence, now)
-        elif self._configured:
-            # The handler may have ended a goal that is still stored.
+        else:
+            # The handler may have ended a goal that is still stored, or it was cancelling the goal
+            # of a planner that crashed.
+            self._resumed = None
             self._effects.append(KeepGoal(None))
-            self._report(now, self.last.error_code, self.last.error_msg)
+            if self._configured:
+                self._report(now, self.last.error_code, self.last.error_msg)
         if isinstance(lost, UnansweredRequest):
             answered = [effect.token for effect in self._effects if isinstance(effect, Answer)]
             if lost.token not in answered:

@@ -128,9 +128,8 @@ EXCEPTION_MUTANTS: tuple[Mutant, ...] = (
     Mutant(
         "resumes a goal that an internal error had ended",
         PLANNER,
-        "            # The handler may have ended a goal that is still stored.\n"
-        "            self._effects.append(KeepGoal(None))\n",
-        "            # The handler may have ended a goal that is still stored.\n",
+        "            self._resumed = None\n            self._effects.append(KeepGoal(None))\n",
+        "",
         kinds=(*KINDS, *KINDS, "kill"),
     ),
     Mutant(

@@ -15,7 +15,7 @@ from tapping_cell.configuration.cell import load_cell
 from tapping_cell.logic.clock import Now
 from tapping_cell.logic.effects import Answer, Content, Effect, KeepGoal, Publish
 from tapping_cell.logic.goal_handling import GoalHandling
-from tapping_cell.logic.host import Activated, Configured, Deactivated
+from tapping_cell.logic.host import Activated, Configured, Deactivated, UnansweredRequest
 from tapping_cell.logic.other_objects import OtherObjects
 from tapping_cell.logic.planner import PlannerLogic, State
 from tapping_cell.logic.planner_settings import PlannerSettings
@@ -301,6 +301,20 @@ def test_a_goal_that_is_cancelled_before_its_resumption_is_not_resumed() -> None
 def test_a_cancel_before_the_planner_is_configured_deletes_the_stored_goal() -> None:
     logic = PlannerLogic(PlannerSettings())
     assert KeepGoal(None) in cancelled(logic)[1]
+
+
+@pytest.mark.parametrize("configured", [False, True])
+def test_a_stored_goal_is_not_resumed_if_its_cancellation_raises(configured: bool) -> None:
+    logic = PlannerLogic(PlannerSettings())
+    if configured:
+        event = Configured(goals().cell, goals(), kept_goal=GOAL, kept_goal_age=1.0)
+        logic.on_lifecycle(event, NOW)
+    lost = UnansweredRequest("~/cancel", Trigger.Request(), 1)
+    made = logic.on_defect(ZeroDivisionError("defect"), NOW, lost)
+    assert KeepGoal(None) in made
+    logic.on_lifecycle(Activated(), NOW)
+    logic.on_tick(NOW)
+    assert logic.state is State.IDLE
 
 
 def test_without_a_goal_there_is_nothing_to_cancel() -> None:
