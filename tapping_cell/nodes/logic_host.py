@@ -183,7 +183,12 @@ class LogicHost(Generic[Machine]):
                 made = handler(self.now())
             except Exception as error:
                 self._node.get_logger().error(traceback.format_exc())
-                made = self._logic.on_defect(error, self.now(), received)
+                try:
+                    made = self._logic.on_defect(error, self.now(), received)
+                except Exception:
+                    if self.driver is not None:
+                        self.driver.stop()  # because the node ends
+                    raise
             # The stack also performs the effects after one that raises, so that no stop and no
             # stored file is lost; it then raises the error. The error may be KeyboardInterrupt.
             with contextlib.ExitStack() as stack:
