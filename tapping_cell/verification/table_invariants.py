@@ -290,17 +290,17 @@ class TableInvariantChecker(InvariantChecker):
                 )
             if now - told.received > MEMORY_S + MEMORY_SLACK_S and not told.visible:
                 self._planned_without.setdefault(tap_id, set()).add(name)
-            if told.pose is None or unseen > MEMORY_S - MEMORY_SLACK_S:
+            if told.newest is None or unseen > MEMORY_S - MEMORY_SLACK_S:
                 continue
-            reference[name] = told.pose
+            reference[name] = told.newest
             radius = self._table.radius
-            if told.pose.distance_to(tip) < radius - OVERLAP_M:
+            if told.newest.distance_to(tip) < radius - OVERLAP_M:
                 self.violate(
                     "tip in another object",
                     f"the strike pose of tap {tap_id} is inside '{name}' as the planner had last"
                     " observed it",
                 )
-            if told.pose.distance_to(predicted) < 2.0 * radius - OVERLAP_M:
+            if told.newest.distance_to(predicted) < 2.0 * radius - OVERLAP_M:
                 self.violate(
                     "planned collision",
                     f"after tap {tap_id}, '{tapped}' would overlap '{name}' as the planner had last"
