@@ -206,11 +206,13 @@ class OutputTapperDriver(RecordingTapper):
             return self._not_fired(shot, f"shot {shot} could not be recorded on disk ({error})")
         self._attempted = shot
         if not self.status().interlock_closed:
-            return self._not_fired(shot, f"the guard of {self._link.name} is open: close it")
+            sentence = f"the guard of {self._link.name} is open: close it"
+            return self._not_fired(shot, sentence, FaultReason.INTERLOCK)
         asked = self._link.now()
         release_by = asked + self._longest(pulse)
         if not still_allowed(release_by):
-            return self._not_fired(shot, f"the last check before the pulse forbade shot {shot}")
+            sentence = f"the last check before the pulse forbade shot {shot}"
+            return FireResult(FireOutcome.NOT_FIRED, shot, sentence)
         if self._link.now() > asked + self.settings.latency:
             self.counters.late += 1
             return self._not_fired(
@@ -218,6 +220,7 @@ class OutputTapperDriver(RecordingTapper):
                 "the last check took longer than tapper.output.latency"
                 f" ({1e3 * self.settings.latency:.0f} ms), so nothing was switched: this computer"
                 " was too slow",
+                FaultReason.TIMEOUT,
             )
         # From here on the output may be on, until it is confirmed off.
         self._release_by = math.inf
@@ -319,8 +322,11 @@ class OutputTapperDriver(RecordingTapper):
         )
         return self._unknown_result(shot, release_by, why)
 
-    def _not_fired(self, shot: int, sentence: str) -> FireResult:
-        return FireResult(FireOutcome.NOT_FIRED, shot, sentence)
+    def _not_fired(
+        self, shot: int, sentence: str, reason: FaultReason = FaultReason.REJECTED
+    ) -> FireResult:
+        fault = HardwareFault(reason, sentence)
+        return FireResult(FireOutcome.NOT_FIRED, shot, sentence, fault=fault)
 
     def _refuse_spent(self, shot: int) -> None:
         if shot <= self._attempted:

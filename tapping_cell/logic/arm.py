@@ -580,6 +580,8 @@ class ArmLogic(DeviceLogic[State, Event]):
             self._halt(now)
         elif name == "connect":
             self._stand(Event.CONNECTED)
+            if not self._active:
+                self._halt(now)
         elif name == "clear":
             self._stand(Event.CLEARED)
         elif self.state is S.LEAVING:
@@ -604,13 +606,15 @@ class ArmLogic(DeviceLogic[State, Event]):
             self.patience = patience_after(self.patience, fault)
         if self.state is S.INACTIVE and fault.reason not in LINE_LOST:
             return
-        if fault.reason is FaultReason.UNREACHABLE and self.state is S.PLACING:
+        if name == "place" and fault.reason is FaultReason.UNREACHABLE:
             # No motion command was sent, so the arm has not moved and there is no fault to clear.
             self._set_error(of_arm(fault), fault.sentence)
             if self._halting:
                 self._halt(now)
-            else:
+            elif self.state is S.PLACING:
                 self._give_up(now)
+            else:
+                self._leave_when_free(now)
             return
         if fault.reason in LINE_LOST:
             target = S.DISCONNECTED
@@ -677,7 +681,8 @@ class ArmLogic(DeviceLogic[State, Event]):
         self._halting = False
         self._tap_id = 0
         self._reading_kept = None
-        if self.state is not S.STOPPED:
+        # After a failed attempt to connect, the reason for the failure remains.
+        if self.state not in (S.STOPPED, S.DISCONNECTED):
             self._machine.move(Event.CLOSED, S.DISCONNECTED)
             self._error = (ErrorCode.ARM_NOT_CONNECTED, "the arm is not connected")
 

@@ -239,12 +239,27 @@ class ArrangementTask(Task):
         self.tolerance = settings.tolerance_position, settings.tolerance_angle
         return decision.strike
 
-    def outdated(self, monitor: CellMonitor, distance: float, angle: float) -> bool:
+    def outdated(
+        self, monitor: CellMonitor, computed: ArrangementDecision, distance: float, angle: float
+    ) -> bool:
         """Return whether the decision no longer fits the objects; see ``Task.outdated``."""
-        return any(
+        if any(
             not monitor.sees_at_rest(name) or monitor.moved(name, observed.pose, distance, angle)
             for name, observed in self._seen.items()
-        ) or self._has_appeared(monitor)
+        ):
+            return True
+        # The tolerance of a goal may be smaller than these limits.
+        left = isinstance(computed, AllDone) and self._has_left_goal(monitor)
+        return left or self._has_appeared(monitor)
+
+    def _has_left_goal(self, monitor: CellMonitor) -> bool:
+        """Return whether an object with a goal is seen outside the tolerance of its goal."""
+        for body in self.bodies:
+            tolerances = body.planner.settings
+            limits = tolerances.tolerance_position, tolerances.tolerance_angle
+            if body.goal is not None and monitor.moved(body.name, body.target, *limits):
+                return True
+        return False
 
     def before(self, seen: ObjectState) -> Pose:
         """Return the pose of the present object in the observation that the decision used."""

@@ -5,11 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 
+import numpy as np
+
 from tapping_cell.logic import enabling
 from tapping_cell.logic.clock import Now, to_nanoseconds
 from tapping_cell.logic.device import LONGEST_TIMEOUT_S
 from tapping_cell.logic.peer_clock import SKEW_LIMIT_S, PeerClock, skewed_clock
-from tapping_cell.logic.poses import from_message
+from tapping_cell.logic.poses import covariance_from_message, from_message
 from tapping_cell.messages import (
     ArmState,
     ErrorCode,
@@ -17,6 +19,8 @@ from tapping_cell.messages import (
     ObjectStates,
     TapperState,
 )
+from tapping_cell.planning import PlanningError
+from tapping_cell.planning.session import noise_of
 from tapping_cell.se2 import Pose
 
 CodedError = tuple[int, str]
@@ -109,7 +113,7 @@ class CellMonitor:
 
     def _note_seen(self, name: str, state: ObjectState, now: Now) -> None:
         if state.visible and not state.error_code:
-            seen = self.camera_clock.to_steady(state.header.stamp, now)
+            seen = min(self.camera_clock.to_steady(state.header.stamp, now), now.steady)
             self._seen_at[name] = max(self._seen_at.get(name, -math.inf), seen)
         else:
             # An object may have been hidden only just before this process started.
@@ -149,7 +153,8 @@ class CellMonitor:
         also that in the first message. Return the error of a new one that was already received, or
         None."""
         received = self._stops
-        self._stops = {name: {0, *stamps} for name, stamps in stops.items()}
+        # If the former process had received no message of a device, it knew none of its stops.
+        self._stops = {name: {0, *stops.get(name, ())} for name in ("arm", "tapper")}
         errors = [self._new_stop(name, one) for name in received for one in received[name]]
         return next((error for error in errors if error is not None), None)
 
@@ -191,6 +196,7 @@ class CellMonitor:
             and seen.at_rest
             and seen.error_code == ErrorCode.NONE
             and seen.frames_fused >= frames
+            and not _implausible(seen)
         )
 
     def at_rest_after(self, moment: float, now: Now) -> bool:
@@ -384,11 +390,13 @@ class CellMonitor:
             )
         age = now.steady - self.observed_at(now)
         if age > self._silence_limit:
-            return (
+            return self._skew(now) or (
                 ErrorCode.CAMERA_SILENT,
                 f"the last image is {age:.2f} s old (limit {self._silence_limit:.2f} s); check the"
                 " camera's rate and the connection to its computer",
             )
+        if implausible := _implausible(seen):
+            return ErrorCode.OBJECT_NOT_SEEN, f"{name}: {implausible}; check camera_pose"
         if seen.at_rest and seen.frames_fused < frames:
             return (
                 ErrorCode.TOO_FEW_FRAMES,
@@ -427,6 +435,18 @@ class CellMonitor:
             f"{node} sent its last message {age:.1f} s ago (limit {self._silence_limit:.1f} s); "
             "check that it is running"
         )
+
+
+def _implausible(seen: ObjectState) -> str:
+    """Return why no tap can be planned from the covariance of an observation, or "" if it can."""
+    covariance = covariance_from_message(seen.pose.covariance)
+    if not np.isfinite(covariance).all():
+        return "the covariance of its pose is not finite"
+    try:
+        noise_of(covariance)
+    except PlanningError as error:
+        return f"the covariance of its pose is out of range ({error})"
+    return ""
 
 
 def _away(seen: ObjectState | None, pose: Pose, distance: float, angle: float) -> bool:

@@ -379,7 +379,8 @@ class DeviceLogic(ABC, Generic[State, Event]):
 
     def _defect(self, error: Exception, now: Now) -> None:
         self._reading = None  # its end must not replace the report of the defect
-        if self._stops.stopped and self.state is not self.stopped_state:
+        unstarted = self._job is not None and self._job > self._handed_out
+        if self._stops.stopped and (self.state is not self.stopped_state or unstarted):
             self._stop(now)  # the exception has interrupted the stop
         elif self._configured:
             self._fail(now)

@@ -13,10 +13,12 @@ from tapping_cell.configuration.objects import ObjectFile
 from tapping_cell.logic.clock import Now
 from tapping_cell.logic.peer_clock import PeerClock
 from tapping_cell.logic.poses import from_message
-from tapping_cell.messages import ObjectState, ObjectStates, Polygon
+from tapping_cell.messages import ObjectState, ObjectStates
 from tapping_cell.planning import CircleArea, KeepOut, PolygonArea
 from tapping_cell.se2 import Pose, transform_points
 
+FARTHEST_M = 5.0
+"""Maximum coordinates of an object on the table, m; observations beyond it are wrong."""
 UNKNOWN = "unknown object"
 """Prefix of the names of the objects without an object file."""
 
@@ -62,7 +64,7 @@ class OtherObjects:
         if not message.visible:
             return
         pose, radius = from_message(message.pose.pose), shape.reach()
-        if not all(map(math.isfinite, pose)):
+        if not (_on_table(pose.x, pose.y) and math.isfinite(pose.theta)):
             return
         before, known.seen_at = known.pose, now.steady
         shift = math.inf
@@ -79,7 +81,10 @@ class OtherObjects:
         if stamp.sec == 0 and stamp.nanosec == 0:
             return
         self._searched_at = clock.to_steady(stamp, now)
-        outlines = (_finite_corners(outline) for outline in message.unknown_objects)
+        outlines = (
+            [(point.x, point.y) for point in outline.points if _on_table(point.x, point.y)]
+            for outline in message.unknown_objects
+        )
         self._unknown = tuple(_unknown_area(corners) for corners in outlines if len(corners) >= 3)
 
     @property
@@ -122,9 +127,9 @@ class OtherObjects:
         return PolygonArea(tuple((float(x), float(y)) for x, y in corners), file.name)
 
 
-def _finite_corners(outline: Polygon) -> list[tuple[float, float]]:
-    corners = [(point.x, point.y) for point in outline.points]
-    return [corner for corner in corners if all(map(math.isfinite, corner))]
+def _on_table(x: float, y: float) -> bool:
+    """Return whether a point can be on the table. A number that is not finite cannot."""
+    return abs(x) <= FARTHEST_M and abs(y) <= FARTHEST_M
 
 
 def _unknown_area(corners: list[tuple[float, float]]) -> PolygonArea:

@@ -299,7 +299,7 @@ class PlannerLogic:
                 self._recall(event, now)
         elif isinstance(event, Activated):
             self._active = True
-            self._report(now)
+            self._report(now, self.last.error_code, self.last.error_msg)
         else:
             # The node is deactivated or shut down. The remaining lifecycle event, Unreachable, does
             # not occur, because the planner has no device.
@@ -397,7 +397,8 @@ class PlannerLogic:
         assert isinstance(event, JobEnded)
         if event.fault is not None:
             raise event.fault
-        if task.outdated(self._monitor, *self._moved_limits) or self._obstacles_changed(task):
+        outdated = task.outdated(self._monitor, event.result, *self._moved_limits)
+        if outdated or self._obstacles_changed(task):
             deadline = self._settings.observe_deadline
             self._enter(Event.OBSERVATION_REQUESTED, S.LOOKING, now, deadline)
         else:
@@ -977,11 +978,12 @@ class PlannerLogic:
         """Plan a tap from another direction, because the present tap is out of the arm's reach."""
         task.session.skip(shot.strike)
         task.not_fired += 1
+        # The arm will not be in position for this tap, so the tapper cannot fire it.
+        shot.outcome = shot.outcome or TapperState.NOT_FIRED
         if task.not_fired >= self._settings.attempts:
             self._fail(code, sentence, now)
             return
         self._log(LogLevel.WARNING, f"tap {shot.number}: {sentence}; planning another tap")
-        # The arm will not be in position for this tap, so the tapper cannot fire it.
         self._give_up(TapperState.NOT_FIRED, now)
 
     def _wait_for_tapper(self, task: Task, now: Now) -> None:
@@ -1005,8 +1007,11 @@ class PlannerLogic:
         assert tapper is not None
         if not self._has_arm and shot.outcome == TapperState.FIRED:
             self._struck_at = now.steady + shot.strike.plan.flight
+        withdrawn = self._withdrawn_tap_id == shot.tap_id
         self._withdraw(shot.tap_id, now)
-        if shot.outcome == TapperState.NOT_FIRED:
+        if shot.outcome == TapperState.NOT_FIRED and withdrawn and not tapper.error_code:
+            self._log(LogLevel.WARNING, "an object was moved before the tap; observing again")
+        elif shot.outcome == TapperState.NOT_FIRED:
             code, sentence = tapper.error_code, tapper.error_msg
             if not code:
                 code, sentence = WITHDRAWN_BY_ANOTHER
@@ -1216,6 +1221,7 @@ class PlannerLogic:
         if self.state in WORKING:  # not if a defect has interrupted this method before
             self._machine.move(event, state)
         self._proposed = self._confirmed = None
+        self._monitor.watch(task.object_id)  # the result contains the pose of this object
         if self._shot is not None:
             task.lose(self._shot)
         task.end(code, sentence)
@@ -1324,6 +1330,8 @@ def _failure(kind: type[Message], code: int, sentence: str) -> Message:
     """Return the answer to a request of this class that is refused or whose handler raised."""
     if kind is SetBool.Request:
         return SetBool.Response(success=False, message=sentence)
+    if kind is Trigger.Request:
+        return Trigger.Response(success=False, message=sentence)
     if kind is ConfirmTap.Request:
         return ConfirmTap.Response(error_code=code, error_msg=sentence)
     if kind is SingleTap.Goal:

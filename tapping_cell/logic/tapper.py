@@ -397,8 +397,9 @@ class TapperLogic(DeviceLogic[State, Event]):
         self._log(LogLevel.ERROR, f"tap {command.tap_id} refused: {sentence}")
         # Until the outcome of the last accepted tap is known, possibly after a stop, the published
         # state refers only to that tap, so the refused tap is not recorded. An id above the
-        # largest valid id is not recorded either, because it would become the last id.
-        new = self._last_tap_id < command.tap_id <= tap_commands.largest_id(self._last_tap_id, now)
+        # largest valid id is not recorded either, because it would become the last id. The largest
+        # valid id does not depend on refused taps, so that these cannot raise it.
+        new = self._last_tap_id < command.tap_id <= tap_commands.largest_id(self._used or 0, now)
         if new and not self._awaits_outcome():
             self._last_tap_id = command.tap_id
             if self._used is not None:
@@ -789,7 +790,8 @@ class TapperLogic(DeviceLogic[State, Event]):
         if self._awaits_outcome():
             # The host may not report the end of the shot any more.
             self._reported.outcome = TapperState.UNKNOWN
-        if not self._stops.stopped:
+        # After a failed attempt to connect, the reason for the failure remains.
+        if not self._stops.stopped and self.state is not S.DISCONNECTED:
             self._machine.move(Event.CLOSED, S.DISCONNECTED)
             self._error = (ErrorCode.TAPPER_NOT_CONNECTED, "the tapper is not connected")
 

@@ -219,9 +219,10 @@ class Task:
         """Return the decision that follows from the result of ``computation``."""
         raise NotImplementedError
 
-    def outdated(self, monitor: CellMonitor, distance: float, angle: float) -> bool:
-        """Return whether an object was moved, or is not seen at rest, since the observation from
-        which ``computation`` was made. ``distance`` in m and ``angle`` in rad are the limits."""
+    def outdated(self, monitor: CellMonitor, computed: Any, distance: float, angle: float) -> bool:
+        """Return whether the result of ``computation`` no longer fits the objects: one was moved,
+        or is not seen at rest, since the observation from which it was computed. ``distance`` in m
+        and ``angle`` in rad are the limits."""
         raise NotImplementedError
 
     def decide(self, seen: ObjectState, frames: int) -> Decision:

@@ -164,6 +164,9 @@ class LogicHost(Generic[Machine]):
             return query(self.now())
 
     def _tick(self) -> None:
+        if self._worker is not None and self._worker.error is not None:
+            self._stop_device()  # because the node ends
+            raise self._worker.error
         for token, (future, client, until) in list(self._calls.items()):
             if time.monotonic() > until and self._calls.pop(token, None) is not None:
                 client.remove_pending_request(future)
@@ -186,14 +189,17 @@ class LogicHost(Generic[Machine]):
                 try:
                     made = self._logic.on_defect(error, self.now(), received)
                 except Exception:
-                    if self.driver is not None:
-                        self.driver.stop()  # because the node ends
+                    self._stop_device()  # because the node ends
                     raise
             # The stack also performs the effects after one that raises, so that no stop and no
             # stored file is lost; it then raises the error. The error may be KeyboardInterrupt.
             with contextlib.ExitStack() as stack:
                 for effect in reversed(made):
                     stack.callback(self._perform, effect)
+
+    def _stop_device(self) -> None:
+        if self.driver is not None:
+            self.driver.stop()
 
     # Effects
 
@@ -207,8 +213,7 @@ class LogicHost(Generic[Machine]):
                 if self._node.context.ok():
                     raise
         elif isinstance(effect, fx.StopWire):
-            if self.driver is not None:
-                self.driver.stop()
+            self._stop_device()
         elif isinstance(effect, fx.RunJob):
             self._run(effect.job)
         elif isinstance(effect, fx.AbandonJob):

@@ -192,8 +192,9 @@ class _Worker:
                 for job in list(self._asked.values()):
                     self._take(job, _solver_ended())
                 return
-            job = self._asked.pop(key) if ended else self._asked[key]
-            self._take(job, result)
+            asked = self._asked.pop(key, None) if ended else self._asked.get(key)
+            if asked is not None:  # otherwise the goal was requested twice and is solved already
+                self._take(asked, result)
 
 
 def _solver_ended() -> PlanningError:

@@ -26,7 +26,7 @@ EXCEPTION_MUTANTS: tuple[Mutant, ...] = (
     Mutant(
         "does not complete a stop that its internal error interrupted",
         DEVICE,
-        "        if self._stops.stopped and self.state is not self.stopped_state:\n",
+        "        if self._stops.stopped and (self.state is not self.stopped_state or unstarted):\n",
         "        if False:\n",
         kinds=KINDS,
     ),
@@ -121,8 +121,8 @@ EXCEPTION_MUTANTS: tuple[Mutant, ...] = (
         PLANNER,
         "        if self._task is not None:\n"
         "            self._finish(S.FAILED, ErrorCode.INTERNAL, sentence, now)\n"
-        "        elif self._configured:\n",
-        "        if self._task is None and self._configured:\n",
+        "        else:\n",
+        "        if self._task is None:\n",
         kinds=KINDS,
     ),
     Mutant(

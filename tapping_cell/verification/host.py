@@ -631,6 +631,7 @@ class Process:
 
     def _report_unreachable(self, fault: HardwareFault) -> None:
         self._handle(self.logic.on_lifecycle, Unreachable(fault))
+        self._handle(self.logic.on_lifecycle, ShutDown())  # as the ROS node does
 
     def _report_end(self, event: JobEnded) -> None:
         self._handle(self.logic.on_job, event, received=event)

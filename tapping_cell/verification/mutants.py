@@ -508,8 +508,8 @@ MUTANTS: tuple[Mutant, ...] = (
         "does not withdraw a tap after its outcome",
         "tapping_cell.logic.planner",
         "        self._withdraw(shot.tap_id, now)\n"
-        "        if shot.outcome == TapperState.NOT_FIRED:",
-        "        if shot.outcome == TapperState.NOT_FIRED:",
+        "        if shot.outcome == TapperState.NOT_FIRED and",
+        "        if shot.outcome == TapperState.NOT_FIRED and",
         kinds=("camera",),
     ),
     Mutant(

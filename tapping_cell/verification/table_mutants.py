@@ -110,8 +110,8 @@ TABLE_MUTANTS: tuple[Mutant, ...] = (
     Mutant(
         "decides on objects that were moved during the decision",
         PLANNER,
-        "        if task.outdated(self._monitor, *self._moved_limits) or",
-        "        if",
+        "        if outdated or self._obstacles_changed(task):\n",
+        "        if self._obstacles_changed(task):\n",
         kinds=("other object moved", "object moved"),
         several=True,
     ),

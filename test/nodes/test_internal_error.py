@@ -10,7 +10,7 @@ from unittest.mock import Mock
 
 import pytest
 
-from tapping_cell.logic.effects import Effect, StopWire
+from tapping_cell.logic.effects import Effect, Job, StopWire
 from tapping_cell.nodes.logic_host import LogicHost
 
 
@@ -22,6 +22,9 @@ class Broken:
     def __init__(self, handles_defects: bool) -> None:
         self._handles_defects = handles_defects
 
+    def on_job(self, *_: Any) -> Sequence[Effect]:
+        raise ZeroDivisionError("defect")
+
     def on_request(self, *_: Any) -> Sequence[Effect]:
         raise ZeroDivisionError("defect")
 
@@ -29,6 +32,13 @@ class Broken:
         if not self._handles_defects:
             raise KeyError("second defect")
         return (StopWire(),)
+
+
+def wait_for_the_end_of_its_worker(host: LogicHost[Any]) -> None:
+    worker = host._worker
+    assert worker is not None
+    worker._thread.join(10.0)
+    assert isinstance(worker.error, KeyError)
 
 
 @pytest.fixture
@@ -54,6 +64,20 @@ def test_the_device_is_stopped_before_the_node_ends_if_the_state_machine_cannot(
     with pytest.raises(KeyError, match="second defect"):
         host.request("~/home", None, Mock())
     host.driver.stop.assert_called_once_with()
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
+def test_the_node_ends_if_its_worker_cannot_handle_an_error(node: Any, tmp_path: Path) -> None:
+    """Otherwise, jobs would be queued but never run."""
+    host = LogicHost[Any](node, Broken(False), tmp_path)
+    driver = Mock()
+    host.start(driver)
+    host._run(Job(1, "read", lambda _: None))
+    wait_for_the_end_of_its_worker(host)
+    driver.reset_mock()
+    with pytest.raises(KeyError, match="second defect"):
+        host._tick()
+    driver.stop.assert_called_once_with()
 
 
 def test_a_node_without_an_open_port_ends_with_the_second_error(node: Any, tmp_path: Path) -> None:

@@ -135,6 +135,7 @@ def test_the_output_is_not_switched_if_the_last_check_refuses_or_is_too_old(cell
 
     late = cell.driver.fire(8, 0.04, slow)
     assert late.outcome is FireOutcome.NOT_FIRED and "too slow" in late.sentence
+    assert late.fault is not None and late.fault.reason is FaultReason.TIMEOUT
     assert not cell.device.pulses()
 
 
@@ -146,7 +147,9 @@ def test_the_guard_must_be_closed_and_its_state_received(cell: Cell) -> None:
     cell.device.guard_closed = True
     cell.driver.charge(7, 1e-2)
     cell.device.guard_closed = False
-    assert cell.driver.fire(7, 0.04, lambda by: True).outcome is FireOutcome.NOT_FIRED
+    opened = cell.driver.fire(7, 0.04, lambda by: True)
+    assert opened.outcome is FireOutcome.NOT_FIRED
+    assert opened.fault is not None and opened.fault.reason is FaultReason.INTERLOCK
     cell.device.guard_closed = True
     cell.device.faults.silent_inputs = True
     cell.sleep(1.0)

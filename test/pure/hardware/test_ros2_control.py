@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from trajectory_controller import ControllerSettings, TrajectoryController
 from virtual_trajectory_link import VirtualTrajectoryLink
@@ -17,7 +17,7 @@ from tapping_cell.hardware.arm import ArmDriver
 from tapping_cell.hardware.arm_settings import ArmSettings, HomingStrategy
 from tapping_cell.hardware.dialect import StraightMove
 from tapping_cell.hardware.faults import FaultReason, HardwareFault
-from tapping_cell.hardware.joint_trajectory import brake_point, straight_points
+from tapping_cell.hardware.joint_trajectory import MIN_PIECE, brake_point, straight_points
 from tapping_cell.hardware.motion import move_duration
 from tapping_cell.hardware.ros2_control_dialect import Ros2ControlDialect, Ros2ControlSettings
 from tapping_cell.hardware.scara import Joints, ScaraGeometry
@@ -119,6 +119,7 @@ def test_a_move_respects_the_limits_and_takes_the_least_time(
 
 
 @settings(deadline=None, max_examples=20)
+@example(0.0625, 0.0625, 0.0518036, 0.05)
 @given(
     st.floats(0.02, 0.12),
     st.floats(0.02, 0.12),
@@ -152,8 +153,11 @@ def test_collinear_moves_are_joined_without_a_stop_at_maximum_speed(
     heights = np.array([controller.state(time)[0][2] for time in times])
     speeds = np.abs(np.diff(heights)) / 4e-3
     beyond = heights[:-1] < -first
-    assert np.all(speeds[beyond] <= slow * 1.01 + 1e-6)
-    assert np.all(speeds[heights[1:] > -first] <= fast * 1.01 + 1e-6)
+    # A change of speed within less than MIN_PIECE has no points of its own. The cubic through its
+    # neighbours exceeds the speed by up to a third of this change.
+    excess = pull * MIN_PIECE / 3 + 1e-6
+    assert np.all(speeds[beyond] <= slow * 1.001 + excess)
+    assert np.all(speeds[heights[1:] > -first] <= fast * 1.001 + excess)
     assert np.all(np.abs(np.diff(speeds)) / 4e-3 <= 1.05 * pull + 1e-3)
     assert points[-1].positions == pytest.approx(goal) and not any(points[-1].velocities)
 

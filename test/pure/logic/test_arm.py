@@ -21,6 +21,7 @@ from tapping_cell.hardware.motion import Waypoint
 from tapping_cell.hardware.scara import Joints
 from tapping_cell.logic import arm as arms
 from tapping_cell.logic import permit
+from tapping_cell.logic import tapper as tappers
 from tapping_cell.logic.arm_jobs import MotionEnd, Reading
 from tapping_cell.logic.clock import Now
 from tapping_cell.logic.effects import (
@@ -42,7 +43,9 @@ from tapping_cell.logic.host import (
     Configured,
     Deactivated,
     LostEvent,
+    ShutDown,
     UnansweredRequest,
+    Unreachable,
 )
 from tapping_cell.messages import (
     ArmState,
@@ -470,6 +473,55 @@ def moving(name: str) -> tuple[Pair, Job]:
     (job,) = (e.job for e in made if isinstance(e, RunJob))
     assert job.name == name
     return pair, job
+
+
+def test_an_unreachable_strike_pose_of_a_withdrawn_tap_is_not_a_fault() -> None:
+    pair, job = moving("place")
+    arm = pair.arm
+    withdrawal = replace(pair.command(TapCommand.WITHDRAW, at(START)), tap_id=arm._tap_id)
+    arm.on_message("tap_command", withdrawal, at(START + 1.0))
+    fault = HardwareFault(FaultReason.UNREACHABLE, "joint elbow would need 170 deg")
+    assert withdraws(arm.on_job(JobEnded(job.number, fault=fault), at(START + 1.1)))
+    assert arm.state is arms.State.WITHDRAWING
+
+
+def test_an_arm_that_reconnects_while_its_node_is_inactive_accepts_no_goal() -> None:
+    arm, here = in_position().arm, Reading(True, Joints(*CELL.file.arm.park), False, START)
+    arm.on_lifecycle(Deactivated(), at(START + 1.0))
+    (read,) = jobs(arm.on_tick(at(START + 2.0)))
+    unplugged = HardwareFault(FaultReason.DISCONNECTED, "unplugged")
+    arm.on_job(JobEnded(read, fault=unplugged), at(START + 2.0))
+    assert arm.state is arms.State.DISCONNECTED
+    (connect,) = jobs(arm.on_tick(at(START + 3.0)))
+    arm.on_job(JobEnded(connect, here), at(START + 3.0))
+    assert (arm.state, arm.error[0]) == (arms.State.INACTIVE, ErrorCode.NOT_ACTIVE)
+    arm.on_lifecycle(Activated(), at(START + 4.0))
+    assert arm.state is arms.State.IDLE
+
+
+@pytest.mark.parametrize("kind", [arms.ArmLogic, tappers.TapperLogic])
+def test_the_reason_for_a_failed_attempt_to_connect_remains(kind: type) -> None:
+    """The node closes the port and then tries again."""
+    device = kind(arms.ArmOptions() if kind is arms.ArmLogic else tappers.TapperOptions())
+    fault = HardwareFault(FaultReason.UNKNOWN_FIRMWARE, "not the expected firmware")
+    for event in (Unreachable(fault), ShutDown()):
+        device.on_lifecycle(event, at(START))
+    assert device.error[1] == "not the expected firmware"
+
+
+@pytest.mark.parametrize("broken", ["_answer", "_urgent_content"])
+def test_a_stop_is_sent_again_if_a_program_error_interrupts_its_handler(
+    broken: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The port may be away, so that only the job can send the stop later."""
+    arm = in_position().arm
+    with monkeypatch.context() as defect:
+        defect.setattr(arm, broken, raise_error)
+        with pytest.raises(ValueError, match="defect"):
+            arm.on_request("~/stop", Trigger.Request(), 1, at(START + 1.0))
+    made = arm.on_defect(ValueError("a defect"), at(START + 1.0))
+    assert [e.job.name for e in made if isinstance(e, RunJob)] == ["send stop"]
+    assert arm.error[0] == ErrorCode.INTERNAL
 
 
 def test_an_arm_deactivated_before_an_unreachable_strike_pose_is_found_does_not_withdraw() -> None:

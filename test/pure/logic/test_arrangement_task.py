@@ -385,6 +385,34 @@ def test_no_tap_is_commanded_if_an_object_was_moved_during_the_decision(
     assert from_message(cell.taps[0].object_pose).distance_to(before) < 1e-9
 
 
+def test_the_result_of_a_failed_goal_has_the_pose_of_its_own_object(cell: Table) -> None:
+    """The goal fails because another object is hidden."""
+    cell.hidden.add(cell.names[0])
+    name, goal = cell.names[1], moved(cell.poses[cell.names[1]], 0.02, 0.0)
+    results: list[PositionObject.Result] = []
+    asked = PositionObject.Goal(object_id=name, goal_pose=goal_of(name, goal).goal_pose)
+    cell.process.request("position_object", asked, 2, results.append)
+    cell.wait(lambda: results, "the result", 60.0)
+    (result,) = results
+    assert result.error_code == ErrorCode.OBJECT_NOT_SEEN
+    assert from_message(result.final_pose.pose.pose).distance_to(cell.poses[name]) < 1e-9
+    assert result.residual_distance == pytest.approx(0.02)
+
+
+def test_an_object_that_leaves_its_goal_during_the_decision_is_tapped(
+    cell: Table, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The object is moved by less than the distance beyond which an object counts as moved."""
+    monkeypatch.setattr(host, "COMPUTING_S", (0.5, 0.5))
+    one = cell.names[0]
+    goal = cell.poses[one]
+    cell.send({one: goal})
+    cell.wait(lambda: cell.process.logic.state is State.PLANNING, "the decision")
+    cell.poses[one] = moved(goal, 0.0018, 0.0)
+    assert cell.end().error_code == ErrorCode.NONE
+    assert cell.poses[one].distance_to(goal) < 0.001 and cell.taps
+
+
 def test_no_tap_is_commanded_if_an_unknown_object_appears_during_the_decision(
     cell: Table, monkeypatch: pytest.MonkeyPatch
 ) -> None:

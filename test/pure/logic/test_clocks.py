@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable
+from dataclasses import replace
 
 import pytest
 from hypothesis import given
@@ -139,6 +140,28 @@ def test_observations_before_the_withdrawal_do_not_count_as_later_ones(
         bounded = least <= arm_delay + QUICKEST_IMAGE_S
         if bounded and monitor.usable(reported, 10, at(received)):
             assert taken > withdrawn - 1e-6
+
+
+@given(st.floats(1.0, 3600.0))
+def test_images_that_seem_old_after_a_clock_step_are_reported_as_differing_clocks(
+    step: float,
+) -> None:
+    """The clock of the only computer is set back."""
+    monitor, received = monitor_with(0.0, [0.01] * 30)
+    now = Now(received + 0.1, at(received + 0.1 - step).ros)
+    monitor.on_object(seen(received + 0.09, -step), now)
+    code, sentence = monitor.blind(10.0, 10, now)
+    assert code == ErrorCode.CLOCKS_DIFFER, sentence
+
+
+@given(st.floats(0.1, 3600.0))
+def test_an_image_from_the_future_does_not_hide_that_its_object_vanished(ahead: float) -> None:
+    monitor, received = monitor_with(0.0, [0.01] * 30)
+    monitor.watch("disk")
+    for visible, offset in ((True, ahead), (False, 0.0)):
+        state = replace(seen(received, offset), object_id="disk", visible=visible)
+        monitor.on_objects(ObjectStates(objects=[state]), at(received))
+    assert monitor.unseen_for(at(received + 5.0)) == pytest.approx(5.0)
 
 
 @given(

@@ -223,11 +223,18 @@ def test_a_goal_is_not_resumed_after_a_stop(received: list[tuple[str, Any]], cod
 
 
 @pytest.mark.parametrize("configured", [False, True])
-@pytest.mark.parametrize(("stored", "stopped_again"), [(None, True), (7, False), (5, True)])
+@pytest.mark.parametrize(
+    ("stops", "stopped_again"),
+    [
+        ({}, True),
+        ({"tapper": [0]}, True),
+        ({"tapper": [0, 7 * 10**9]}, False),
+        ({"tapper": [0, 5 * 10**9]}, True),
+    ],
+)
 def test_a_stop_that_was_cleared_while_no_planner_ran_ends_the_goal(
-    stored: int | None, stopped_again: bool, configured: bool
+    stops: dict[str, list[int]], stopped_again: bool, configured: bool
 ) -> None:
-    stops = {"tapper": [0] if stored is None else [0, stored * 10**9]}
     state = TapperState(state=TapperState.SAFE, last_stop=Time(sec=7))
     received = [("tapper_state", state)]
     early = [] if configured else received
@@ -241,9 +248,10 @@ def test_a_stop_that_was_cleared_while_no_planner_ran_ends_the_goal(
 
 def test_the_stops_that_the_planner_knows_are_stored_with_its_goal() -> None:
     state = ArmState(state=ArmState.IDLE, last_stop=Time(sec=7))
-    _, made = started(GOAL, received=[("arm_state", state)])
+    goal = {**GOAL, "stops": {"arm": [0, 7 * 10**9]}}
+    _, made = started(goal, received=[("arm_state", state)])
     kept = [e.content for e in made if isinstance(e, KeepGoal)][-1]
-    assert kept is not None and kept["stops"] == {"arm": [0, 7 * 10**9]}
+    assert kept is not None and kept["stops"] == {"arm": [0, 7 * 10**9], "tapper": [0]}
 
 
 def test_a_goal_is_not_resumed_after_a_deactivation() -> None:
@@ -253,6 +261,15 @@ def test_a_goal_is_not_resumed_after_a_deactivation() -> None:
         logic.on_lifecycle(lifecycle, NOW)
     logic.on_tick(NOW)
     assert logic.state is State.IDLE
+
+
+def test_an_activated_planner_still_reports_why_its_goal_failed() -> None:
+    logic, _ = started(GOAL)
+    for event in (Deactivated(), Activated()):
+        made = logic.on_lifecycle(event, NOW)
+    (plan,) = (e.message for e in made if isinstance(e, Publish) and e.topic == "plan_state")
+    assert (plan.state, plan.error_code) == (PlanState.FAILED, ErrorCode.NOT_ACTIVE)
+    assert "deactivated" in plan.error_msg
 
 
 def test_homing_does_not_continue_the_goal_of_a_crashed_planner() -> None:

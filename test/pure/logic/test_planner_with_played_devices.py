@@ -72,6 +72,7 @@ class Actors(VirtualNode):
         self.moves_when_fired = True
         self.tip = Pose(0.0, 0.0, 0.0)
         self.visible = self.at_rest = True
+        self.covariance: list[float] = COVARIANCE.reshape(-1).tolist()
         self.camera_active = self.arm_active = self.tapper_active = True
         self.arm_arrives = self.arm_withdraws = True
         self.lost_withdrawals = 0
@@ -145,7 +146,7 @@ class Actors(VirtualNode):
             seen.header.stamp, seen.header.frame_id = now, "table"
             seen.pose.pose = to_message(self.pose)
             seen.references_used = list(range(101, 109))
-            seen.pose.covariance = COVARIANCE.reshape(-1).tolist()
+            seen.pose.covariance = self.covariance
             self.publish("object_state", seen)
         if self.arm_active:
             code, sentence = self.arm_error
@@ -269,6 +270,53 @@ def test_an_arm_that_reaches_no_tap_ends_the_goal_with_its_own_message(actors: A
     assert (end.state, end.error_code) == (PlanState.FAILED, ErrorCode.ARM_OUT_OF_REACH)
     assert "elbow" in end.error_msg
     assert len(actors.taps()) == FAST.attempts
+    assert end.taps == 0
+
+
+class Touched(Actors):
+    """A hand moves the object while the tapper charges for each of the first taps. The tapper
+    reports the withdrawn tap as not fired."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.tapper_answers = None
+
+    def _on_command(self, command: TapCommand) -> None:
+        super()._on_command(command)
+        if command.request == TapCommand.WITHDRAW and self.outcome == TapperState.NONE:
+            self.outcome = TapperState.NOT_FIRED
+        elif command.request == TapCommand.TAP and self.tapper_answers is None:
+            self.scheduler.after(0.3, self._touch)
+
+    def _touch(self) -> None:
+        self.pose = Pose(self.pose.x + 0.003, self.pose.y, self.pose.theta)
+        if len(self.taps()) > FAST.attempts:
+            self.tapper_answers = TapperState.FIRED
+
+
+def test_an_object_that_is_touched_before_the_shot_does_not_end_the_goal() -> None:
+    actors = Touched()
+    actors.wait(lambda: actors.states, "the planner is up")
+    actors.run(0.3)
+    actors.send()
+    end = actors.end()
+    assert (end.state, end.error_code) == (PlanState.REACHED, ErrorCode.NONE)
+    assert len(actors.taps()) > FAST.attempts > end.taps > 0
+
+
+@pytest.mark.parametrize("variance", [math.nan, math.inf, -math.inf, 1e308, 1.5])
+def test_an_implausible_covariance_does_not_end_the_goal(actors: Actors, variance: float) -> None:
+    actors.send()
+    actors.wait(lambda: actors.states[-1].state == PlanState.LOOKING, "it looks")
+    plausible = actors.covariance
+    actors.covariance = [variance if row % 7 == 0 else 0.0 for row in range(36)]
+    actors.run(0.5)
+    monitor, now = actors.process.logic._monitor, actors.process._clock.now()
+    assert not monitor.usable(0.0, 1, now)
+    assert monitor.blind(None, 1, now)[0] == ErrorCode.OBJECT_NOT_SEEN
+    assert "covariance" in monitor.blind(None, 1, now)[1]
+    actors.covariance = plausible
+    assert actors.end().error_code == ErrorCode.NONE
 
 
 def test_an_arm_that_does_not_withdraw_ends_the_goal_with_a_message(actors: Actors) -> None:

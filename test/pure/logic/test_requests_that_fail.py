@@ -27,6 +27,7 @@ from tapping_cell.messages import (
     SetBool,
     SingleTap,
     TapCommand,
+    Trigger,
 )
 from tapping_cell.planning import PlanningError
 from tapping_cell.se2 import Pose
@@ -135,6 +136,7 @@ def test_a_goal_whose_check_raises_is_refused_and_the_present_goal_goes_on(
         ("single_tap", SingleTap.Goal(), lambda a: a.error_code == ErrorCode.INTERNAL),
         ("confirm_tap", ConfirmTap.Request(), lambda a: a.error_code == ErrorCode.INTERNAL),
         ("ask", SetBool.Request(data=True), lambda a: not a.success),
+        ("~/cancel", Trigger.Request(), lambda a: not a.success),
     ],
 )
 def test_a_request_whose_handler_raises_is_answered_once(

@@ -13,6 +13,7 @@ from virtual_node import VirtualNode
 from tapping_cell.hardware.tapper import TapperDriver
 from tapping_cell.logic.host import Deactivated
 from tapping_cell.logic.poses import to_message
+from tapping_cell.logic.tap_commands import LARGEST_JUMP
 from tapping_cell.logic.tapper import TapperLogic, TapperOptions
 from tapping_cell.messages import (
     ArmState,
@@ -299,6 +300,17 @@ def test_an_invalid_id_does_not_cause_later_taps_to_be_refused(cell: Cell) -> No
     cell.run(0.2)
     cell.fire(100)
     assert cell.shots() == [100]
+
+
+def test_refused_commands_do_not_raise_the_largest_valid_id(cell: Cell) -> None:
+    now = cell.stamp().sec
+    for step in range(1, 4):
+        cell.command(now + step * LARGEST_JUMP, valid=-5.0)
+        cell.run(0.2)
+    assert cell.last.tap_id <= cell.stamp().sec + LARGEST_JUMP
+    next_id = max(cell.last.tap_id, cell.stamp().sec) + 1
+    cell.fire(next_id)
+    assert cell.shots() == [next_id]
 
 
 DISCHARGED = ("DISCHARGING", "SAFE")

@@ -52,6 +52,21 @@ def test_a_later_goal_is_answered_before_an_earlier_one_is_refined() -> None:
     assert first.solution.grid.along.step > 0.1
 
 
+def test_a_goal_that_is_requested_twice_does_not_end_the_solver(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The goal is no longer cached, but its first request is not answered yet."""
+    monkeypatch.setattr("tapping_cell.planning.fixed_solver.KEPT_SOLUTIONS", 1)
+    space = assembly.make_fixed_space(CELL)
+    settings = assembly.make_planner_settings(CELL, (0.02, math.radians(20.0)))
+    solver = GoalSolver(background=True, finer=())
+    for x in (0.0, 0.01, 0.0):
+        asked = solver.goal(space, settings, np.array([x, 0.0, 0.0]))
+    wait_until(lambda: asked.solution is not None)
+    later = solver.goal(space, settings, np.array([0.02, 0.0, 0.0]))
+    wait_until(lambda: later.solution is not None)
+
+
 def test_a_fine_solution_that_is_interrupted_is_abandoned() -> None:
     space = assembly.make_fixed_space(CELL)
     settings = assembly.make_planner_settings(CELL, (0.02, math.radians(20.0)))

@@ -80,7 +80,7 @@ def test_the_invariants_detect_violations() -> None:
     told.pose, told.since = good.poses[other], good.time - 2.0
     checker._check_scene(replace(good, met=other), command)
     assert "other object struck" in names()
-    told.pose, told.seen = from_message(command.strike_pose), trial.scheduler.now
+    told.newest, told.seen = from_message(command.strike_pose), trial.scheduler.now
     told.exposed = -math.inf
     checker._goal_begun_at = trial.scheduler.now
     checker._check_basis(good.shot)
