@@ -198,16 +198,18 @@ class OutputTapperDriver(RecordingTapper):
         self._require()
         self._refuse_spent(shot)
         if self._ready is None or self._ready[0] != shot:
-            return self._not_fired(shot, f"the tapper was not prepared for shot {shot}")
+            sentence = f"the tapper was not prepared for shot {shot}"
+            return self._not_fired(shot, HardwareFault(FaultReason.REJECTED, sentence))
         pulse, self._ready = self._ready[1], None
         try:
             self._memory.keep(shot)
         except OSError as error:
-            return self._not_fired(shot, f"shot {shot} could not be recorded on disk ({error})")
+            sentence = f"shot {shot} could not be recorded on disk ({error})"
+            return self._not_fired(shot, HardwareFault(FaultReason.REJECTED, sentence))
         self._attempted = shot
         if not self.status().interlock_closed:
             sentence = f"the guard of {self._link.name} is open: close it"
-            return self._not_fired(shot, sentence, FaultReason.INTERLOCK)
+            return self._not_fired(shot, HardwareFault(FaultReason.INTERLOCK, sentence))
         asked = self._link.now()
         release_by = asked + self._longest(pulse)
         if not still_allowed(release_by):
@@ -215,13 +217,12 @@ class OutputTapperDriver(RecordingTapper):
             return FireResult(FireOutcome.NOT_FIRED, shot, sentence)
         if self._link.now() > asked + self.settings.latency:
             self.counters.late += 1
-            return self._not_fired(
-                shot,
+            sentence = (
                 "the last check took longer than tapper.output.latency"
                 f" ({1e3 * self.settings.latency:.0f} ms), so nothing was switched: this computer"
-                " was too slow",
-                FaultReason.TIMEOUT,
+                " was too slow"
             )
+            return self._not_fired(shot, HardwareFault(FaultReason.TIMEOUT, sentence))
         # From here on the output may be on, until it is confirmed off.
         self._release_by = math.inf
         try:
@@ -313,7 +314,8 @@ class OutputTapperDriver(RecordingTapper):
             return FireResult(FireOutcome.FIRED, shot, released_by=self._release_by)
         if on is Answer.REFUSED and self._link.reads_back:
             self._release_by = self._link.now()
-            return self._not_fired(shot, f"{self._link.name} refused to switch on")
+            sentence = f"{self._link.name} refused to switch on"
+            return self._not_fired(shot, HardwareFault(FaultReason.REJECTED, sentence))
         self._sleep_until(release_by)
         why = (
             "the read-back did not show the output on"
@@ -321,12 +323,6 @@ class OutputTapperDriver(RecordingTapper):
             else "the output is not read back"
         )
         return self._unknown_result(shot, release_by, why)
-
-    def _not_fired(
-        self, shot: int, sentence: str, reason: FaultReason = FaultReason.REJECTED
-    ) -> FireResult:
-        fault = HardwareFault(reason, sentence)
-        return FireResult(FireOutcome.NOT_FIRED, shot, sentence, fault=fault)
 
     def _refuse_spent(self, shot: int) -> None:
         if shot <= self._attempted:

@@ -151,6 +151,9 @@ class RecordingTapper:
         """
         return self._release_by
 
+    def _not_fired(self, shot: int, fault: HardwareFault) -> FireResult:
+        return FireResult(FireOutcome.NOT_FIRED, shot, str(fault), fault=fault)
+
     def _unknown_result(self, shot: int, release_by: float, why: str) -> FireResult:
         self.counters.unknown += 1
         return FireResult(
@@ -513,9 +516,6 @@ class TapperDriver(RecordingTapper):
         )
         timeout = self.settings.fire_reply_timeout
         return self._exchange(frame, sequence, self.settings.attempts, timeout, again)
-
-    def _not_fired(self, shot: int, fault: HardwareFault) -> FireResult:
-        return FireResult(FireOutcome.NOT_FIRED, shot, str(fault), fault=fault)
 
     def _refuse_spent(self, shot: int) -> None:
         if shot <= self._attempted:

@@ -254,12 +254,8 @@ class ArrangementTask(Task):
 
     def _has_left_goal(self, monitor: CellMonitor) -> bool:
         """Return whether an object with a goal is seen outside the tolerance of its goal."""
-        for body in self.bodies:
-            tolerances = body.planner.settings
-            limits = tolerances.tolerance_position, tolerances.tolerance_angle
-            if body.goal is not None and monitor.moved(body.name, body.target, *limits):
-                return True
-        return False
+        goals = self.wanted.items()
+        return any(monitor.moved(name, one.goal, *one.tolerance) for name, one in goals)
 
     def before(self, seen: ObjectState) -> Pose:
         """Return the pose of the present object in the observation that the decision used."""

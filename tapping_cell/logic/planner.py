@@ -91,6 +91,7 @@ WITHDRAWN_BY_ANOTHER = (
     "tap_command or tapper_state",
 )
 """Error to report if a tap was not fired although the tapper reports no error."""
+MOVED_BEFORE_TAP = "an object was moved before the tap; observing again"
 EMERGENCY_STOP = (
     ErrorCode.EMERGENCY_STOP,
     "emergency stop: make the cell safe, clear the faults, then send the goal again",
@@ -958,7 +959,7 @@ class PlannerLogic:
         assert shot is not None
         if self._disturbed(shot, now):
             # arm_state may be late, so the tap may already have been fired. Only the tapper knows.
-            self._log(LogLevel.WARNING, "an object was moved before the tap; observing again")
+            self._log(LogLevel.WARNING, MOVED_BEFORE_TAP)
             self._give_up(TapperState.UNKNOWN, now)
         elif (unreachable := self._monitor.out_of_reach(shot.tap_id)) is not None:
             self._try_another_way(task, shot, *unreachable, now)
@@ -1010,7 +1011,7 @@ class PlannerLogic:
         withdrawn = self._withdrawn_tap_id == shot.tap_id
         self._withdraw(shot.tap_id, now)
         if shot.outcome == TapperState.NOT_FIRED and withdrawn and not tapper.error_code:
-            self._log(LogLevel.WARNING, "an object was moved before the tap; observing again")
+            self._log(LogLevel.WARNING, MOVED_BEFORE_TAP)
         elif shot.outcome == TapperState.NOT_FIRED:
             code, sentence = tapper.error_code, tapper.error_msg
             if not code:
