@@ -7,6 +7,7 @@ from tapping_cell.verification.mutants import Mutant
 DEVICE = "tapping_cell.logic.device"
 PLANNER = "tapping_cell.logic.planner"
 KINDS = ("exception",)
+IN_PLANNER = ("exception in the planner",)
 
 EXCEPTION_MUTANTS: tuple[Mutant, ...] = (
     Mutant(
@@ -84,7 +85,7 @@ EXCEPTION_MUTANTS: tuple[Mutant, ...] = (
         PLANNER,
         "            if lost.token not in answered:\n",
         "            if False:\n",
-        kinds=KINDS,
+        kinds=IN_PLANNER,
     ),
     Mutant(
         "answers a request twice if its handler raised after the answer",
@@ -105,7 +106,7 @@ EXCEPTION_MUTANTS: tuple[Mutant, ...] = (
         PLANNER,
         "        self._end_tap(now)\n        sentence = _internal_error(error)\n",
         "        sentence = _internal_error(error)\n",
-        kinds=KINDS,
+        kinds=IN_PLANNER,
     ),
     Mutant(
         "takes a withdrawal for published before it is",
@@ -114,7 +115,7 @@ EXCEPTION_MUTANTS: tuple[Mutant, ...] = (
         "        self._withdrawn_tap_id, self._withdrawn_at = tap_id, now.steady\n",
         "        self._withdrawn_tap_id, self._withdrawn_at = tap_id, now.steady\n"
         "        self._publish_withdrawal(tap_id, now)\n",
-        kinds=KINDS,
+        kinds=IN_PLANNER,
     ),
     Mutant(
         "continues its goal after an internal error",
@@ -123,28 +124,28 @@ EXCEPTION_MUTANTS: tuple[Mutant, ...] = (
         "            self._finish(S.FAILED, ErrorCode.INTERNAL, sentence, now)\n"
         "        else:\n",
         "        if self._task is None:\n",
-        kinds=KINDS,
+        kinds=IN_PLANNER,
     ),
     Mutant(
         "resumes a goal that an internal error had ended",
         PLANNER,
         "            self._resumed = None\n            self._effects.append(KeepGoal(None))\n",
         "",
-        kinds=(*KINDS, *KINDS, "kill"),
+        kinds=IN_PLANNER,
     ),
     Mutant(
         "commands the tap that a handler prepared before its internal error",
         PLANNER,
         "        self._effects = [effect for effect in self._effects if not _begins(effect)]\n",
         "",
-        kinds=KINDS,
+        kinds=IN_PLANNER,
     ),
     Mutant(
         "counts a tap whose command was not published",
         PLANNER,
         "            self._shot = None  # its command was not published\n",
         "            pass\n",
-        kinds=KINDS,
+        kinds=IN_PLANNER,
     ),
     Mutant(
         "does not count a tap if its evaluation raises",
@@ -153,13 +154,13 @@ EXCEPTION_MUTANTS: tuple[Mutant, ...] = (
         "        if shot is not None and self._may_have_been_fired(shot):\n",
         "        shot, self._shot = self._shot, None\n"
         "        if shot is not None and self._may_have_been_fired(shot):\n",
-        kinds=KINDS,
+        kinds=IN_PLANNER,
     ),
     Mutant(
         "counts the last tap twice if the end of its goal raises",
         "tapping_cell.logic.task",
         "(TapperState.FIRED, TapperState.UNKNOWN) and not recorded:\n",
         "(TapperState.FIRED, TapperState.UNKNOWN):\n",
-        kinds=KINDS,
+        kinds=IN_PLANNER,
     ),
 )

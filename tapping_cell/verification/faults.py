@@ -166,11 +166,22 @@ def _pick(rng: np.random.Generator, names: tuple[str, ...]) -> str:
 
 
 NODES = ("tap_planner", "scara_arm", "tapper_trigger")
+LOGIC: dict[str, type] = dict(zip(NODES, (PlannerLogic, ArmLogic, TapperLogic), strict=True))
 METHODS = {
     node: tuple(sorted(name for name, _ in inspect.getmembers(logic, inspect.isfunction)))
-    for node, logic in zip(NODES, (PlannerLogic, ArmLogic, TapperLogic), strict=True)
+    for node, logic in LOGIC.items()
 }
 """Methods of each node's state machine."""
+DECIDING = {
+    node: tuple(
+        name
+        for name in METHODS[node]
+        if "_effects.append(" in inspect.getsource(getattr(logic, name))
+    )
+    for node, logic in LOGIC.items()
+}
+"""Methods that issue an effect. If such a handler raises, its effects are lost, but the state has
+already changed."""
 
 
 def _freeze(rng: np.random.Generator, trial: FaultTarget) -> Made:
@@ -868,18 +879,24 @@ def _cancel(rng: np.random.Generator, trial: FaultTarget) -> Made:
     return lambda t: t.cancel_goal(), "the goal is cancelled"
 
 
-def _cancel_by_service(rng: np.random.Generator, trial: FaultTarget) -> Made:
+def _cancel_by_service(rng: np.random.Generator, trial: FaultTarget, raises_after: int = 0) -> Made:
     """A person ends the present goal by the planner's service: the goal of the action client, that
     of another client, or that of a planner that was killed shortly before. After its restart, this
-    planner may be activated late."""
+    planner may be activated late. ``raises_after``: number of lines after which the planner raises
+    an exception while it handles the request; 0 if it does not raise."""
     which = _pick(rng, ("own", "own", "crashed", "second client's"))
     away, later = draw_duration(rng, 0.2, 5.0), float(rng.uniform(0.05, 6.0))
     inactive = float(rng.uniform(0.5, 8.0)) if rng.random() < 0.5 else 0.0
     goal = trial.draw_goal(rng) if which == "second client's" else None
 
+    def cancel(t: FaultTarget) -> None:
+        if raises_after:
+            t.plant_exception("tap_planner", raises_after)
+        t.cancel_by_service()
+
     def strike(t: FaultTarget) -> None:
         if which == "own":
-            t.cancel_by_service()
+            cancel(t)
             return
         if goal is not None:
             t.note_kind("second client")
@@ -890,13 +907,14 @@ def _cancel_by_service(rng: np.random.Generator, trial: FaultTarget) -> Made:
             t.processes["tap_planner"].activation_delay = inactive
             t.note_disturbance(away + inactive)
             t.kill("tap_planner", away)
-        t.scheduler.after(later if goal is not None else away + later, t.cancel_by_service)
+        t.scheduler.after(later if goal is not None else away + later, lambda: cancel(t))
 
+    raising = f", which raises an exception after {raises_after} lines" if raises_after else ""
     if which == "own":
-        return strike, "the service ~/cancel is called"
+        return strike, f"the service ~/cancel is called{raising}"
     before = "a second client sends another goal" if goal is not None else "tap_planner killed"
     after = later if goal is not None else away + later
-    return strike, f"{before}; the service ~/cancel is called {after:.2f} s later"
+    return strike, f"{before}; the service ~/cancel is called {after:.2f} s later{raising}"
 
 
 def _second_client(rng: np.random.Generator, trial: FaultTarget) -> Made:
@@ -904,27 +922,45 @@ def _second_client(rng: np.random.Generator, trial: FaultTarget) -> Made:
     return lambda t: t.send_goal(goal, foreign=True), "a second client sends another goal"
 
 
-def _planted(rng: np.random.Generator, trial: FaultTarget) -> Made:
+def _exception(rng: np.random.Generator, trial: FaultTarget) -> Made:
+    return _exception_in(_pick(rng, trial.nodes), rng, trial)
+
+
+def _exception_in_planner(rng: np.random.Generator, trial: FaultTarget) -> Made:
+    return _exception_in("tap_planner", rng, trial)
+
+
+def _exception_in(node: str, rng: np.random.Generator, trial: FaultTarget) -> Made:
     """A handler or a job of a node raises an exception at a random line of its code, of a random
     method of its state machine, or while the node handles a request."""
-    node, share = _pick(rng, trial.nodes), rng.random()
-    requested, function = share < 0.25, _pick(rng, METHODS[node]) if share > 0.6 else ""
-    lines = round(draw_duration(rng, 1.0, 100.0 if requested or function else 3000.0))
-    resets = bool(rng.random() < 0.5)
+    share = rng.random()
+    if share < 0.25:
+        return _exception_in_request(node, rng, trial)
+    function, longest = "", 3000.0
+    if share > 0.5:
+        function, longest = _pick(rng, (DECIDING if share > 0.7 else METHODS)[node]), 100.0
+    lines = round(draw_duration(rng, 1.0, longest))
+    where = f" of {function}" if function else ""
+    return (
+        lambda t: t.plant_exception(node, lines, function),
+        f"{node} raises an exception after {lines} lines{where}",
+    )
+
+
+def _exception_in_request(node: str, rng: np.random.Generator, trial: FaultTarget) -> Made:
+    lines, resets = round(draw_duration(rng, 1.0, 100.0)), bool(rng.random() < 0.5)
+    if node == "tap_planner":
+        return _cancel_by_service(rng, trial, lines)
 
     def strike(t: FaultTarget) -> None:
-        t.plant_exception(node, lines, function)
-        if requested and node == "tap_planner":
-            t.cancel_by_service()
-        elif requested and resets:
+        t.plant_exception(node, lines)
+        if resets:
             t.reset(node)
-        elif requested:
+        else:
             t.call_stop(node)
 
-    where = f" of {function}" if function else ""
-    if requested:
-        where = f", during a request to {'reset' if resets else 'stop or cancel'}"
-    return strike, f"{node} raises an exception after {lines} lines{where}"
+    request = "reset" if resets else "stop"
+    return strike, f"{node} raises an exception after {lines} lines of a request to {request}"
 
 
 def _disk_full(rng: np.random.Generator, trial: FaultTarget) -> Made:
@@ -979,7 +1015,8 @@ MAKERS: dict[str, Maker] = {
     "cancel by service": _cancel_by_service,
     "second client": _second_client,
     "disk full": _disk_full,
-    "exception": _planted,
+    "exception": _exception,
+    "exception in the planner": _exception_in_planner,
 }
 KINDS = tuple(MAKERS)
 SET_UP_MAKERS: dict[str, Maker] = {
@@ -1023,7 +1060,7 @@ AT_A_SHOT = (
     "duplicates",
     "second client",
     "object turned",
-    "exception",
+    *("exception", "exception in the planner"),
     *("foreign trajectory", "foreign hold", "foreign flood", "second arm") * 2,
 )
 """Kinds of faults around a shot. Some kinds are listed several times, so that they are drawn more

@@ -189,7 +189,7 @@ WITHOUT_ARM = (
     "cancel by service",
     "second client",
     "disk full",
-    "exception",
+    *("exception", "exception in the planner"),
 )
 """Kinds of faults that need no arm."""
 FIXED_MAKERS: dict[str, Maker] = {
@@ -222,6 +222,7 @@ FIXED_AT_A_SHOT = (
         "second client",
         "object turned",
         "exception",
+        "exception in the planner",
     ),
 )
 FIXED_OF_A_SHOT = (
