@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 import signal
 import sys
+import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Generic, Protocol, TypeVar
@@ -67,6 +68,8 @@ CONNECTION_CHECK_S = 5.0
 """Period at which the topics are checked for endpoints that cannot connect."""
 SIGNAL_S = 0.2
 """Maximum time for which a waiting node does not notice a signal, s."""
+LAST_RESULTS_S = 0.3
+"""Time for which a node that shuts down sends the results of its actions, s."""
 ROLE = "role"
 """Key of a node's role in /diagnostics."""
 PROFILE_VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
@@ -159,6 +162,10 @@ class CellNode(LifecycleNode, Generic[Parameters]):
     def cleanup(self) -> None:
         """Close the resources that :meth:`configure` opened. Called at every shutdown, even after a
         failure."""
+
+    def has_unsent_results(self) -> bool:
+        """Return whether results of actions wait for the executor."""
+        return False
 
     def stop_now(self) -> None:
         """Stop all motion immediately. Called from the executor's thread."""
@@ -378,6 +385,11 @@ def run(make_node: Callable[[], CellNode[Any]], arguments: Sequence[str] | None 
         if node is not None:
             node.cleanup()
             assert executor is not None
+            if node.active and node.has_unsent_results():
+                # rclpy does not tell when it has sent a result.
+                deadline = time.monotonic() + LAST_RESULTS_S
+                while (left := deadline - time.monotonic()) > 0:
+                    executor.spin_once(timeout_sec=left)
             executor.remove_node(node)
             node.destroy_node()
         rclpy.try_shutdown()

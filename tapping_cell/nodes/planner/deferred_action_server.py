@@ -36,6 +36,11 @@ class DeferredActionServer:
             for name, (kind, on_goal) in actions.items()
         ]
 
+    @property
+    def has_unsent_results(self) -> bool:
+        """Return whether results wait for the executor, which sends them."""
+        return bool(self._results)
+
     def close(self) -> None:
         """Destroy the action servers. Call this before destroying the node, because
         ``destroy_node`` does not destroy them."""

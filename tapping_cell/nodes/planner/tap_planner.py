@@ -146,6 +146,10 @@ class TapPlanner(LogicNode[Parameters]):
         elif self.configured:
             self.logic.goals.use(str(value))
 
+    def has_unsent_results(self) -> bool:
+        """Return whether goals have ended whose clients have not received the result yet."""
+        return self._actions.has_unsent_results
+
     def destroy_node(self) -> None:
         """Also destroy the action servers, which rclpy does not destroy. Otherwise, clients would
         see an incomplete planner until garbage collection."""
