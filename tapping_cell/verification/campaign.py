@@ -56,8 +56,8 @@ def run_trial(seed: int, goals: int, trace: bool = False, mix: Mix = ALL) -> Rep
     kind = Trial
     if mix.fixed:
         kind = FixedTrial
-    elif mix.several or has_several_objects(seed):
-        kind = TableTrial
+    elif mix.several or (has_several_objects(seed) and not (mix.set_up or mix.ask)):
+        kind = TableTrial  # these cells have neither set-up mode nor confirmation
     return kind(seed, trace, mix=mix).run(goals)
 
 

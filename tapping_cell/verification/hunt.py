@@ -16,7 +16,8 @@ from tapping_cell.verification.mutants import plant
 def main() -> int:
     """Apply the mutant, and run goals until a violation occurs or ``--goals`` goals have been run.
     Print the number of goals and the name of the violated invariant (empty if no violation
-    occurred) as JSON."""
+    occurred) as JSON. The exit code is 1 if the simulator itself failed, which says nothing about
+    the mutant."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("name", choices=[mutant.name for mutant in ALL_MUTANTS])
     parser.add_argument("--goals", type=int, default=100)
@@ -30,6 +31,7 @@ def main() -> int:
         settle_on,
     )
     from tapping_cell.verification.faults import Mix
+    from tapping_cell.verification.trial import SIMULATOR_DEFECT
 
     settle_on(arguments.core)
 
@@ -41,6 +43,10 @@ def main() -> int:
         ask=mutant.ask,
     )
     summary = run_campaign(arguments.goals, arguments.seed, 1, stop_at_violation=True, mix=mix)
+    for seed, violation in summary.violations:
+        if violation.name == SIMULATOR_DEFECT:
+            print(f"the simulator itself failed in run {seed}: {violation.sentence}")
+            return 1
     caught = summary.violations[0][1].name if summary.violations else ""
     print(json.dumps({"goals": summary.goals, "caught by": caught}))
     return 0

@@ -175,6 +175,8 @@ board's firing window, s."""
 GOAL_TIME_LIMIT_S = 120.0
 SHARE_OF_SHORT_LIMITS, SHORT_LIMIT_S = 0.2, (2.0, 25.0)
 """Fraction of the runs whose goals have a short time limit, and the range of that limit in s."""
+SIMULATOR_DEFECT = "simulator defect"
+"""Name of the violation that an exception of the simulator itself causes."""
 SHARE_OF_FEW_TAPS, MOST_TAPS = 0.1, 3
 """Fraction of the runs whose goals have a small limit of taps, and the maximum of that limit."""
 SHARE_OF_ONE_FRAME = 0.25
@@ -680,7 +682,7 @@ class Trial:
             self.checker.violate("hang", str(hang))
         except Exception as error:  # one run must not end a campaign
             self._note(traceback.format_exc())
-            self.checker.violate("simulator defect", f"{type(error).__name__}: {error}")
+            self.checker.violate(SIMULATOR_DEFECT, f"{type(error).__name__}: {error}")
         self.checker.at_the_end()
         for process in self.processes.values():
             for defect in process.defects:

@@ -12,6 +12,7 @@ from tapping_cell.verification.faults import Mix
 from tapping_cell.verification.people import KEY, SWITCH
 from tapping_cell.verification.physical_cell import Release
 from tapping_cell.verification.set_up_invariants import SetUpChecker
+from tapping_cell.verification.table_trial import has_several_objects
 from tapping_cell.verification.trial import Trial
 
 BOTH = (KEY, SWITCH)
@@ -48,6 +49,20 @@ def test_goals_are_reached_without_faults(mix: Mix, seed: int) -> None:
     report = Trial(seed, faults=False, mix=mix).run(3)
     assert report.violations == []
     assert 0 in {outcome.code for outcome in report.outcomes}
+
+
+@pytest.mark.parametrize(
+    "mix",
+    [
+        Mix(("enabling device released",), set_up=True),
+        Mix(("ask changed",), ask=True),
+    ],
+)
+def test_every_run_has_the_chosen_mode_whatever_its_seed(mix: Mix) -> None:
+    seed = next(filter(has_several_objects, range(100)))
+    report = run_trial(seed, 2, mix=mix)
+    assert report.violations == []
+    assert report.faults.keys() & set(mix.only)
 
 
 @pytest.mark.parametrize("mix", [SET_UP, ASK])
