@@ -32,6 +32,8 @@ smallest delay of the camera's messages, because this delay cannot be distinguis
 difference between the clocks. The capture time is compared with events of arm and tapper. The
 messages of arm and tapper are delayed too, so the error is only the difference between the smallest
 delays."""
+OF_AN_OBJECT = (ErrorCode.NONE, ErrorCode.OBJECT_NOT_SEEN, ErrorCode.MARKER_AMBIGUOUS)
+"""Codes of an observation that concern one object, not the whole image."""
 FAULTED = (TapperState.FAULT, TapperState.STOPPED)
 DOING = {
     ArmState.HOMING: "homing",
@@ -372,6 +374,9 @@ class CellMonitor:
         seen, name = self.object, f"'{self._watched}'" if self._watched else "the object"
         if self._own is None or self.silent("object", now):
             return ErrorCode.CAMERA_SILENT, self._silence("object", now)
+        if self._watched and self._own.error_code not in OF_AN_OBJECT:
+            # camera_pose reports a problem of the image only in the state of the cell's own object.
+            return int(self._own.error_code), self._own.error_msg
         if seen is None:
             return (
                 ErrorCode.OBJECT_NOT_SEEN,

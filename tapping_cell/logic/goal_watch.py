@@ -39,8 +39,9 @@ class Ended:
 class GoalWatch:
     """Follows one goal from its acceptance. Times are in s of the steady clock."""
 
-    def __init__(self, goal: Pose, planners: frozenset[bytes], now: float) -> None:
-        """``goal``: pose in ``table``. ``planners``: publishers of ``plan_state`` when the goal was
+    def __init__(self, goal: Pose | None, planners: frozenset[bytes], now: float) -> None:
+        """``goal``: pose in ``table``; None if the planner does not resume the goal after a crash.
+        ``planners``: publishers of ``plan_state`` when the goal was
         sent."""
         self._goal = goal
         self._planners = planners
@@ -100,5 +101,7 @@ class GoalWatch:
         return Ended(plan.error_code, plan.error_msg)
 
     def _is_goal(self, pose: Pose) -> bool:
+        if self._goal is None:
+            return False
         near = pose.distance_to(self._goal) < SAME_M
         return near and abs(pose.rotation_to(self._goal)) < SAME_RAD

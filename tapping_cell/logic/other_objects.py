@@ -47,7 +47,8 @@ class OtherObjects:
         self._moved = moved
         self._known: dict[str, _Known] = {}
         self._unknown: tuple[PolygonArea, ...] = ()
-        self._searched_at = math.inf  # no search was published
+        self._searched_at = math.inf
+        """Time of the last search; infinite if the camera does not search."""
 
     @property
     def files(self) -> tuple[ObjectFile, ...]:
@@ -79,6 +80,7 @@ class OtherObjects:
         """Process the outlines of the objects without an object file."""
         stamp = message.unknown_searched_at
         if stamp.sec == 0 and stamp.nanosec == 0:
+            self._searched_at, self._unknown = math.inf, ()
             return
         self._searched_at = clock.to_steady(stamp, now)
         outlines = (

@@ -55,6 +55,7 @@ from tapping_cell.logic.task import MIN_EFFECT, Shot, SingleTapTask, Task
 from tapping_cell.logic.transitions import StateMachine, table
 from tapping_cell.messages import (
     ArmState,
+    ArrangementState,
     ArrangeObjects,
     ConfirmTap,
     ErrorCode,
@@ -300,6 +301,8 @@ class PlannerLogic:
                 self._recall(event, now)
         elif isinstance(event, Activated):
             self._active = True
+            # A planner that crashed may have left an arrangement as active.
+            self._effects.append(Publish("arrangement_state", _no_arrangement(now)))
             self._report(now, self.last.error_code, self.last.error_msg)
         else:
             # The node is deactivated or shut down. The remaining lifecycle event, Unreachable, does
@@ -534,7 +537,7 @@ class PlannerLogic:
         self._is_resumed = False
         self._view_cleared = False
         self._struck_at = math.inf
-        self._monitor.watch(task.object_id if isinstance(task, ArrangementTask) else "")
+        self._monitor.watch(task.watched)
         self._keep_goal(task, now)
         self._log(LogLevel.INFO, task.description())
         self._task = task
@@ -703,11 +706,16 @@ class PlannerLogic:
                 deadline = self._settings.observe_deadline
                 self._fail(*self._monitor.blind(deadline, needed, now, self._view_cleared), now)
             return
-        if not task.ready:
-            # A solver still computes the solution for this goal, so postpone the deadline of the
-            # observation. The goal's time limit still applies.
-            self._deadline = now.steady + self._settings.observe_deadline
+        if self._awaits_solution(task, now):
             return
+        # Before the obstacles change, because the model of the tap belongs to the present ones.
+        shot = self._shot
+        if shot is not None and self._may_have_been_fired(shot):
+            self._take_in(task, shot, seen)
+            self._shot = None  # from here on, the tap's record counts
+        elif shot is not None:
+            self._shot = None
+            self._keep_goal(task, now)
         # While the arm may hide a part of the table, the camera does not search for unknown
         # objects.
         search_since = self._observe_after if self._monitor.withdrawn(now) else -math.inf
@@ -716,13 +724,8 @@ class PlannerLogic:
             if self._late(now):
                 self._fail(*unknown, now)
             return
-        shot = self._shot
-        if shot is not None and self._may_have_been_fired(shot):
-            self._take_in(task, shot, seen)
-            self._shot = None  # from here on, the tap's record counts
-        elif shot is not None:
-            self._shot = None
-            self._keep_goal(task, now)
+        if self._awaits_solution(task, now):  # other obstacles need another solution
+            return
         task.arm = self._monitor.tip
         frames = 0 if self._late(now) else needed
         computation = task.computation(frames)
@@ -734,6 +737,14 @@ class PlannerLogic:
         self._computation += 1
         self._effects.append(RunJob(Job(self._computation, "plan", lambda _: computation())))
         self._enter(Event.OBSERVED, S.PLANNING, now, self._deadline - now.steady)
+
+    def _awaits_solution(self, task: Task, now: Now) -> bool:
+        """Return whether a solver still computes the solution for the goal, and if so, postpone the
+        deadline of the observation. The goal's time limit still applies."""
+        if task.ready:
+            return False
+        self._deadline = now.steady + self._settings.observe_deadline
+        return True
 
     def _may_have_been_fired(self, shot: Shot) -> bool:
         """Return whether a tap of the past was or may have been fired. If the tapper has lost the
@@ -1222,7 +1233,7 @@ class PlannerLogic:
         if self.state in WORKING:  # not if a defect has interrupted this method before
             self._machine.move(event, state)
         self._proposed = self._confirmed = None
-        self._monitor.watch(task.object_id)  # the result contains the pose of this object
+        self._monitor.watch(task.watched)  # the result contains the pose of this object
         if self._shot is not None:
             task.lose(self._shot)
         task.end(code, sentence)
@@ -1320,6 +1331,14 @@ def _begins(effect: Effect) -> bool:
     if isinstance(effect, Publish) and effect.topic == "tap_command":
         return bool(effect.message.request != TapCommand.WITHDRAW)
     return isinstance(effect, RunJob)
+
+
+def _no_arrangement(now: Now) -> ArrangementState:
+    """Return the state of a planner that has just been activated."""
+    state = ArrangementState()
+    state.header.stamp = to_stamp(now.ros)
+    state.header.frame_id = "table"
+    return state
 
 
 def _internal_error(error: Exception) -> str:

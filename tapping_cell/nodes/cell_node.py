@@ -11,6 +11,7 @@ import os
 import signal
 import sys
 import time
+import traceback
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Generic, Protocol, TypeVar
@@ -100,7 +101,8 @@ class CellNode(LifecycleNode, Generic[Parameters]):
     carries_pictures = True
     """False for a node that neither sends nor receives images: see :func:`choose_transport`."""
     changeable: tuple[str, ...] = ()
-    """Parameters that may be set at run time; :meth:`change` applies them."""
+    """Parameters that may be set at run time. :meth:`check` checks all that are set at once, then
+    :meth:`change` applies them in this order; only the first one may still be refused then."""
 
     def __init__(self, name: str, parameter_class: type[Parameters]) -> None:
         self._steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
@@ -170,6 +172,9 @@ class CellNode(LifecycleNode, Generic[Parameters]):
     def stop_now(self) -> None:
         """Stop all motion immediately. Called from the executor's thread."""
 
+    def check(self, name: str, value: object) -> None:
+        """Check a parameter that is set at run time. Raises ValueError with a message."""
+
     def change(self, name: str, value: object) -> None:
         """Apply a parameter that was set at run time. Raises ValueError with a message."""
 
@@ -209,6 +214,9 @@ class CellNode(LifecycleNode, Generic[Parameters]):
                 self.get_logger().error(str(error))
             self.cleanup()
             return TransitionCallbackReturn.FAILURE
+        except Exception as error:
+            self._give_up(error)
+            return TransitionCallbackReturn.FAILURE
         self.configured = True
         return TransitionCallbackReturn.SUCCESS
 
@@ -220,6 +228,10 @@ class CellNode(LifecycleNode, Generic[Parameters]):
         except NotReady as error:
             self.active = False
             self._complain(str(error), error.expected)
+            return TransitionCallbackReturn.FAILURE
+        except Exception as error:
+            self.active = False
+            self._give_up(error)
             return TransitionCallbackReturn.FAILURE
         self._last_complaint = ""
         return super().on_activate(state)
@@ -242,6 +254,14 @@ class CellNode(LifecycleNode, Generic[Parameters]):
         self.cleanup()
         return TransitionCallbackReturn.SUCCESS
 
+    def _give_up(self, error: Exception) -> None:
+        """Report an unexpected exception of a transition, because rclpy reports none. Without
+        ``autostart``, the transition may be triggered again."""
+        self.get_logger().error(traceback.format_exc())
+        self.fatal = f"internal error ({error!r}): report it with the log"
+        self._last_complaint = self.fatal
+        self.cleanup()
+
     def _start(self) -> None:
         """Configure and activate the node automatically, and retry every second while it is not
         ready."""
@@ -250,10 +270,10 @@ class CellNode(LifecycleNode, Generic[Parameters]):
         timer.timer_period_ns = 1_000_000_000
         if not self.configured:
             self.trigger_configure()
-        if self.fatal:
-            raise ConfigurationError(self.fatal)
         if self.configured and not self.active:
             self.trigger_activate()
+        if self.fatal:
+            raise ConfigurationError(self.fatal)
         if self.active:
             self.get_logger().info("active")
             timer.cancel()
@@ -284,8 +304,12 @@ class CellNode(LifecycleNode, Generic[Parameters]):
                         f"{SIMULATED_TIME} cannot change while the node runs, because the ages of"
                         " all messages would be wrong; restart the node with the new value"
                     )
-                if parameter.name in self.changeable:
-                    self.change(parameter.name, parameter.value)
+                self.check(parameter.name, parameter.value)
+            # Nothing must be applied if one of the values is refused.
+            values = {parameter.name: parameter.value for parameter in changed}
+            for name in self.changeable:
+                if name in values:
+                    self.change(name, values[name])
         except ValueError as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)

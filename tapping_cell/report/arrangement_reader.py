@@ -49,13 +49,17 @@ def read_arranged_run(path: Path, name: str) -> tuple[ArrangementRun, tuple[Pict
         for _, message in bag.of("arrangement_state")
         if seconds_of(message.header.stamp) >= since
     ]
-    if not reports:
+    with_objects = [report for report in reports if report.objects]
+    if not with_objects:
         raise BagError(f"{path}: the bag contains no arrangement")
-    last = reports[-1]
+    last = with_objects[-1]
     began = float(notes.get("began", seconds_of(reports[0].header.stamp)))
-    ended = seconds_of(last.header.stamp)
+    ended = seconds_of(reports[-1].header.stamp)
     code, sentence = int(last.error_code), str(last.error_msg)
-    if last.active:
+    if not reports[-1].objects:
+        code = error_codes.number("NOT_READY")
+        sentence = "the planner was restarted during the arrangement"
+    elif last.active:
         code = error_codes.number("SHUTTING_DOWN")
         sentence = "the recording ended before the arrangement did"
     run = ArrangementRun(

@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from harness import bench
+from harness import TIMEOUT_S, bench
 from rich.console import Console
 from tapping_cell_msgs.msg import PlanState
 from test_tap_planner import GOAL, Actors, acted, planner_process
@@ -21,8 +21,11 @@ from test_tap_planner import GOAL, Actors, acted, planner_process
 from tapping_cell.cli import session
 from tapping_cell.cli.confirmation import Person
 from tapping_cell.cli.errors import ExitStatus
+from tapping_cell.configuration.layout_file import LayoutFile, LayoutGoal
+from tapping_cell.logic import goal_watch
 from tapping_cell.logic.goal_watch import RETURN_S, SILENCE_S
 from tapping_cell.messages import ErrorCode
+from tapping_cell.nodes.clients.arrange_client import ArrangeClient, ArrangementEnded
 from tapping_cell.nodes.clients.goal_client import Finished, GoalClient, TapProposed
 
 
@@ -106,6 +109,26 @@ def test_a_planner_killed_during_a_goal_ends_the_wait() -> None:
     # may wait for the cell.
     assert took < RETURN_S + SILENCE_S + 30.0
     assert "waiting for it to return" in words.getvalue()
+
+
+def test_a_planner_killed_during_an_arrangement_ends_the_wait(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(goal_watch, "RETURN_S", 4.0)
+    layout = LayoutFile((LayoutGoal("aluminium disk", (0.03, 0.0, 0.0)),))
+    with planner_process(tmp_path) as planner, ArrangeClient() as client:
+        deadline = time.monotonic() + TIMEOUT_S
+        while not (client.accepts_goals() and client.planner_active):
+            assert time.monotonic() < deadline, "the planner is not discovered"
+            time.sleep(0.1)
+        client.send(layout)
+        while not client.answered:
+            assert time.monotonic() < deadline, "the planner has not answered"
+            time.sleep(0.1)
+        planner.kill()
+        ended = next(event for event in client.events() if event is not None)
+    assert isinstance(ended, ArrangementEnded)
+    assert ended.error_code == ErrorCode.NOT_READY and "sent no message" in ended.error_msg
 
 
 def test_ctrl_c_ends_a_goal_that_a_restarted_planner_has_resumed(tmp_path: Path) -> None:

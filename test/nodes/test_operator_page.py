@@ -48,8 +48,10 @@ from tapping_cell.nodes.camera.pose_messages import camera_to_message
 from tapping_cell.nodes.cell_node import COMMAND, LATCHED
 from tapping_cell.nodes.conversions import to_message
 from tapping_cell.nodes.page.operator_page import OperatorPage
+from tapping_cell.nodes.page.requests import RequestedGoal
 from tapping_cell.nodes.page.server import MAX_PAGES, PICTURE_HEADER
 from tapping_cell.nodes.planner.tap_planner import TapPlanner
+from tapping_cell.planning.prescribed import METHOD as PRESCRIBED
 from tapping_cell.se2 import Pose
 from tapping_cell.vision import CameraPose, View
 
@@ -184,6 +186,26 @@ def plan(state: int, goal: Pose, *, taps: int = 0, last: TapRecord | None = None
     message.residual_distance = message.residual_rotation = math.nan
     message.last_tap = last or TapRecord()
     return message
+
+
+def test_the_queue_is_paused_if_the_planner_was_restarted_during_a_goal(cell: Cell) -> None:
+    goal = Pose(0.03, -0.01, 0.2)
+    requested = RequestedGoal(goal)
+
+    def restart(method: str) -> str:
+        cell.publish("plan_state", plan(PlanState.IDLE, goal))
+        cell.page._queue.add(requested)
+        cell.page._queue.run()
+        working = plan(PlanState.PLACING, goal)
+        working.planner = method
+        cell.publish("plan_state", working)
+        cell.bench.wait(lambda: cell.page._view.busy, "the goal")
+        cell.publish("plan_state", plan(PlanState.IDLE, goal))
+        cell.bench.wait(lambda: not cell.page._view.busy, "the next planner")
+        return cell.page._queue.held
+
+    assert restart(PRESCRIBED) == ""  # a single tap ends like this
+    assert "restarted during a goal" in restart("optimal")
 
 
 def test_every_page_shows_the_taps_including_late_joiners(cell: Cell) -> None:

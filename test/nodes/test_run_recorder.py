@@ -269,6 +269,28 @@ def test_an_arrangement_is_one_run_with_its_objects_taps_and_contacts(tmp_path: 
     assert other["goal"] == [30.0, 0.0, 0.0]
 
 
+def test_a_goal_after_an_arrangement_of_a_crashed_planner_has_its_own_folder(
+    tmp_path: Path,
+) -> None:
+    with cell(tmp_path) as fake:
+        both = FakeArrangement(fake)
+        starts = {name: start for name, (start, _) in PLACES.items()}
+        both.see(**starts)
+        time.sleep(0.2)
+        both.report(True, **starts)
+        fake.plan(fake.goal(PLACES["disk"][1]), PlanState.PLACING)
+        time.sleep(0.3)
+        both.progress.publish(fake.stamp(ArrangementState()))  # the restarted planner
+        fake.plan(fake.goal(), PlanState.IDLE)
+        fake.bench.wait(lambda: len(fake.runs) >= 1, "the arrangement is recorded")
+        fake.follow(fake.goal(Pose(0.03, 0.0, 0.0)))
+        fake.bench.wait(lambda: len(fake.runs) >= 2, "the next goal is recorded")
+        first, second = (Path(run.data) for run in fake.runs)
+    run = read_arrangement(first)
+    assert run.error_code == ErrorCode.NOT_READY and "restarted" in run.error_msg
+    assert second != first
+
+
 def test_a_report_is_made_when_the_topics_are_remapped(tmp_path: Path) -> None:
     values = {"folder": tmp_path / "runs", "pictures": False, "least_free": 0.0}
     rules = ("notes:plan_state:=other/plan", "run_recorder:__node:=notes")

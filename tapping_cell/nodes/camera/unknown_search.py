@@ -27,6 +27,8 @@ PERIOD_S = 0.5
 """Time between two searches."""
 AWAITED_PERIOD_S = 0.15
 """Time between two searches while the planner waits for an observation."""
+BEFORE_FIRST_SEARCH = Time(nanoseconds=1)
+"""Time of the last search while there was none. Zero would mean that there will be none."""
 MEMORY_S = 2.0
 """Time for which an object that is no longer measured is still expected at its last pose."""
 
@@ -93,25 +95,31 @@ class UnknownSearch:
         measured = all(state.header.stamp.sec for state in states)
         # Search also if the camera's clock was set back.
         due = not 0.0 <= stamp - self._searched_at < period
-        arm = self._arm()
-        # If the position of the arm is unknown, the arm would be taken for an unknown object.
-        known = arm is not None or not self._is_scara
-        if view is None or not (self._clear and still and measured and due and known):
+        possible = self._clear and still and measured and due and self._is_arm_known
+        if view is None or not possible:
             return
         recent = [state for seen_at, state in self._seen.values() if stamp - seen_at <= MEMORY_S]
         standing = [self._standing(state) for state in recent]
-        self._found.search(image, view, standing, arm)
+        self._found.search(image, view, standing, self._arm())
         self._searched_at = stamp
 
     def enter(self, message: ObjectStates) -> None:
         """Enter the outlines and the time of the last search into a message."""
         if self._searched_at == -math.inf:
+            if self._is_arm_known:
+                message.unknown_searched_at = BEFORE_FIRST_SEARCH.to_msg()
             return
         message.unknown_objects = [
             Polygon(points=[Point32(x=float(x), y=float(y)) for x, y in outline])
             for outline in self.outlines
         ]
         message.unknown_searched_at = Time(nanoseconds=round(1e9 * self._searched_at)).to_msg()
+
+    @property
+    def _is_arm_known(self) -> bool:
+        """Whether the arm's position is known. Otherwise, the arm would be taken for an unknown
+        object."""
+        return self._arm() is not None or not self._is_scara
 
     def _on_arm(self, message: ArmState) -> None:
         self._clear = message.clear_of_camera and message.state == ArmState.IDLE

@@ -98,6 +98,11 @@ class ActionFollower(ClientNode, Generic[Event]):
             if isinstance(event, self.last_event):
                 return
 
+    def _planners(self) -> frozenset[bytes]:
+        """Return the current publishers of ``plan_state``."""
+        found = self.node.get_publishers_info_by_topic(self.node.resolve_topic_name("plan_state"))
+        return frozenset(bytes(publisher.endpoint_gid) for publisher in found)
+
     def _send_goal(self, message: Any) -> None:
         self._send_later(self._send, message)
 

@@ -6,6 +6,7 @@ The verbs `arrange` and `demo --objects` use this client. There is no separate e
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -20,6 +21,7 @@ from tapping_cell_msgs.msg import (
 )
 
 from tapping_cell.configuration.layout_file import LayoutFile
+from tapping_cell.logic.goal_watch import GoalWatch
 from tapping_cell.nodes.cell_node import LATCHED
 from tapping_cell.nodes.clients.action_follower import ActionFollower
 from tapping_cell.nodes.conversions import from_message, object_goal
@@ -84,6 +86,8 @@ class ArrangeClient(ActionFollower[Event]):
         self._tapper: TapperState | None = None
         self._taps = 0
         self._purposes: dict[int, str] = {}
+        self._watch: GoalWatch | None = None
+        self._plan_received = -math.inf
         subscribe = self.node.create_subscription
         subscribe(ObjectStates, "object_states", self._on_states, LATCHED)
         subscribe(ArmState, "arm_state", self.keeper("_arm"), LATCHED)
@@ -121,7 +125,16 @@ class ArrangeClient(ActionFollower[Event]):
         )
         self._taps = 0
         self._purposes.clear()
+        self._watch = GoalWatch(None, self._planners(), time.monotonic())
         self._send_goal(message)
+
+    def _event_of_silence(self) -> ArrangementEnded | None:
+        """Return the end of an arrangement whose result can no longer arrive."""
+        if self._watch is None:
+            return None
+        planners, received = self._planners(), self._plan_received
+        ended = self._watch.check(None, None, received, planners, time.monotonic())
+        return None if ended is None else ArrangementEnded(ended.code, ended.sentence, self._taps)
 
     def _on_feedback(self, feedback: ArrangeObjects.Feedback) -> None:
         plan = feedback.plan_state
@@ -157,6 +170,7 @@ class ArrangeClient(ActionFollower[Event]):
 
     def _on_plan(self, message: PlanState) -> None:
         self.planner_active = True
+        self._plan_received = time.monotonic()
 
 
 def residuals(poses: Mapping[str, Pose], layout: LayoutFile) -> dict[str, tuple[float, float]]:

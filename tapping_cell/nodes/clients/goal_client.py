@@ -184,11 +184,6 @@ class GoalClient(ActionFollower[Event]):
                 f"the planner did not answer within {patience:.0f} s; is tap_planner running?"
             ) from None
 
-    def _planners(self) -> frozenset[bytes]:
-        """Return the current publishers of ``plan_state``."""
-        found = self.node.get_publishers_info_by_topic(self.node.resolve_topic_name("plan_state"))
-        return frozenset(bytes(publisher.endpoint_gid) for publisher in found)
-
     def _event_of_silence(self) -> PlannerLost | Finished | None:
         """Return PlannerLost once when the planner has ended, or Finished for a goal whose result
         can no longer arrive."""

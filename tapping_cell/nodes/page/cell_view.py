@@ -28,6 +28,7 @@ from tapping_cell.logic.poses import covariance_from_message
 from tapping_cell.nodes.conversions import from_message, seconds
 from tapping_cell.nodes.page.node_watch import ACTORS
 from tapping_cell.nodes.page.recovery import Recovery, Step
+from tapping_cell.planning.prescribed import METHOD as PRESCRIBED
 from tapping_cell.report.error_codes import hint
 from tapping_cell.report.words import PHASES, counted, expected_effort
 from tapping_cell.se2 import Pose
@@ -195,6 +196,14 @@ class CellView:
         # The last report is sent again to every new subscriber, so the log entry has the report's
         # stamp.
         self.note(sentence, kind, seconds(message.header.stamp))
+
+    def loses_goal(self, message: PlanState) -> bool:
+        """Return whether a new state of the planner drops a goal without a report of its end, as
+        after a crash. A prescribed tap ends without a report, too."""
+        before = self._plan
+        if before is None or before.planner == PRESCRIBED:
+            return False
+        return self.busy and message.state == PlanState.IDLE
 
     @property
     def busy(self) -> bool:

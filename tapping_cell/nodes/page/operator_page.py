@@ -159,7 +159,7 @@ class OperatorPage(CellNode[Parameters]):
             "run_queue": self._run_queue,
             "hold_queue": self._hold_queue,
         }
-        self.create_subscription(PlanState, "plan_state", self._view.on_plan, LATCHED)
+        self.create_subscription(PlanState, "plan_state", self._on_plan, LATCHED)
         self.create_subscription(GoalReport, "goal_report", self._on_report, LATCHED)
         self.create_subscription(String, "last_run", self._on_last_run, LATCHED)
         self.create_timer(STATE_PERIOD_S, self._advance_queue)
@@ -240,6 +240,12 @@ class OperatorPage(CellNode[Parameters]):
         self._view.emergency_stop = message.data
         if message.data:
             self._queue.hold("The queue is paused: the cell was stopped.")
+
+    def _on_plan(self, message: PlanState) -> None:
+        """Pause the queue if the planner has lost its goal: it reports the end of every goal."""
+        if self._view.loses_goal(message):
+            self._queue.hold("The queue is paused: the planner was restarted during a goal.")
+        self._view.on_plan(message)
 
     def _on_report(self, message: GoalReport) -> None:
         """Continue or pause the queue when a goal has ended, regardless of its client."""

@@ -47,11 +47,15 @@ class DeferredActionServer:
         for server in self._servers:
             server.destroy()
 
-    def answer(self, handle: ServerGoalHandle, result: Any) -> None:
-        """Finish a goal with its result."""
+    def keep(self, handle: ServerGoalHandle, result: Any) -> None:
+        """Keep the result of a goal until :meth:`finish`. May be called from any thread."""
+        self._results[bytes(handle.goal_id.uuid)] = result
+
+    def finish(self, handle: ServerGoalHandle) -> None:
+        """Finish a goal with the result that was kept. Call this from the executor's thread only,
+        because a cancellation at the same time would be an error."""
         # The goal is executed only now that its result is known, because an execute callback that
         # waits for the result would block the single-threaded executor.
-        self._results[bytes(handle.goal_id.uuid)] = result
         handle.execute()
 
     def _conclude(self, handle: ServerGoalHandle) -> Any:

@@ -187,7 +187,8 @@ class TapPlanner(LogicNode[Parameters]):
             nonlocal answered
             answered = True
             self._tokens.pop(goal, None)
-            self._actions.answer(handle, to_ros(result))
+            self._actions.keep(handle, to_ros(result))
+            self.host.later(lambda: self._actions.finish(handle))
 
         def feedback(content: Any) -> None:
             if handle.is_active:

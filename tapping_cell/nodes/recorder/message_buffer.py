@@ -37,18 +37,21 @@ class MessageBuffer:
             if latched or seldom:
                 self._latched[message.topic] = message
             if self._begins is not None:
+                if message.stamp < self._begins - self._lead_ns:
+                    self._begins = message.stamp  # the clock was set back
                 if message.stamp >= self._begins:
                     self._waiting.append(message)
                 return
             self._lead.append(message)
-            while self._lead[0].stamp < message.stamp - self._lead_ns:
+            # A stamp far in the future is from before the clock was set back.
+            while abs(message.stamp - self._lead[0].stamp) > self._lead_ns:
                 self._lead.popleft()
 
     def begin(self, now: int, notes_topic: str, notes: bytes) -> None:
         """Begin a recording at ``now`` (ns) with the messages of the last seconds. The bag starts
         with ``notes``, followed by the latched messages that are older than these seconds."""
         with self._lock:
-            first = self._lead[0].stamp if self._lead else now
+            first = min((message.stamp for message in self._lead), default=now)
             topics = {message.topic for message in self._lead}
             self._waiting += [
                 ReceivedMessage(notes_topic, first, notes),

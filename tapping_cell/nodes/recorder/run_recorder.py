@@ -291,14 +291,21 @@ class RunRecorder(CellNode[Parameters]):
                     worker.close(patience=0.2)
             self._worker = self._reporter = None
 
+    def check(self, name: str, value: object) -> None:
+        """Check folder and name."""
+        if name == "folder":
+            checked_folder(str(value))
+        elif name == "name":
+            checked_name(str(value))
+
     def change(self, name: str, value: object) -> None:
         """Change folder, name or rate for the next run."""
         if name == "picture_rate":
             self._picture_rate = float(str(value))
         elif name == "folder":
-            self._folder = checked_folder(str(value))
+            self._folder = str(value)
         else:
-            self._name = checked_name(str(value))
+            self._name = str(value)
 
     def health(self) -> tuple[bytes, str, dict[str, object]]:
         """Report the current recording and any error that prevents it."""

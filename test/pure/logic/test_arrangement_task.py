@@ -344,7 +344,9 @@ def test_an_object_turned_away_from_its_goal_is_not_reported_at_its_goal(cell: T
     cell.send(goals, in_order=True)
     result = cell.end()
     assert [tap.object_id for tap in cell.taps] == [other, other]
-    assert ObjectProgress.REACHED in {report.objects[0].state for report in cell.reports}
+    assert ObjectProgress.REACHED in {
+        report.objects[0].state for report in cell.reports if report.objects
+    }
     assert result.error_code == ErrorCode.EMERGENCY_STOP
     assert {progress.state for progress in result.objects} == {ObjectProgress.FAILED}
 
@@ -366,9 +368,55 @@ def test_an_object_turned_away_is_noticed_even_if_no_decision_follows(
     cell.send({one: cell.poses[one], other: moved(cell.poses[other], 0.06, 0.0)}, in_order=True)
     result = cell.end()
     assert [tap.object_id for tap in cell.taps] == [other]
-    assert ObjectProgress.REACHED in {report.objects[0].state for report in cell.reports}
+    assert ObjectProgress.REACHED in {
+        report.objects[0].state for report in cell.reports if report.objects
+    }
     assert result.error_code == ErrorCode.INTERNAL
     assert {progress.state for progress in result.objects} == {ObjectProgress.FAILED}
+
+
+def test_a_tap_is_learnt_although_an_unknown_object_appears(cell: Table) -> None:
+    name = cell.names[0]
+    learnt = []
+
+    def appear() -> None:
+        cell.unknown = [square_at(-0.15, -0.15)]
+        task = cell.process.logic._task
+        learnt.append((task.arrangement, task.arrangement.gains[name]))
+
+    cell.on_tap = appear
+    cell.send({name: moved(cell.poses[name], 0.06, 0.0)})
+    assert cell.end().error_code == ErrorCode.NONE
+    arrangement, before = learnt[0]
+    after = arrangement.gains[name]
+    learnt_now = after.taken + after.outliers - before.taken - before.outliers
+    assert learnt_now == len(cell.taps) >= 1
+
+
+def test_a_restarted_planner_reports_that_no_arrangement_is_active(cell: Table) -> None:
+    cell.send({name: moved(cell.poses[name], 0.06, 0.0) for name in cell.names[:1]})
+    cell.wait(lambda: cell.reports[-1].active, "the arrangement")
+    cell.process.kill()
+    cell.process.start()
+    cell.wait(lambda: not cell.reports[-1].active, "the restarted planner")
+
+
+@pytest.mark.parametrize("code", [ErrorCode.IMAGE_INVALID, ErrorCode.STAMP_INVALID])
+def test_a_problem_of_the_image_is_named(cell: Table, code: int) -> None:
+    """camera_pose reports it only for the cell's own object."""
+    publish = cell.network.publish
+
+    def refuse(sender: str, topic: str, message: Any) -> None:
+        if topic == "object_state":
+            message = ObjectState(error_code=code, error_msg="the image is dark")
+            message.header.stamp = cell.stamp()
+        if topic != "object_states":
+            publish(sender, topic, message)
+
+    cell.network.publish = refuse  # type: ignore[method-assign]
+    cell.send({cell.names[1]: moved(cell.poses[cell.names[1]], 0.03, 0.0)})
+    result = cell.end()
+    assert (result.error_code, result.error_msg) == (code, "the image is dark")
 
 
 def test_no_tap_is_commanded_if_an_object_was_moved_during_the_decision(

@@ -159,3 +159,23 @@ def test_a_pose_that_is_not_on_a_table_is_no_observation(wrong: tuple[float, flo
     others.on_object(message, clock, now)
     (area,) = others.areas(now)
     assert area is not None and float(area.distance([0.1, 0.0])) < 0.0
+
+
+def test_a_camera_that_no_longer_searches_reports_no_unknown_objects() -> None:
+    others, clock, now = OtherObjects((), 5.0, 0.002), PeerClock(), Now(100.0, 100_000_000_000)
+    message = ObjectStates(unknown_objects=[square_at(0.0, 0.0)])
+    message.unknown_searched_at = Time(sec=99)
+    others.on_objects(message, clock, now)
+    assert others.unknown and not others.searched(150.0)
+    others.on_objects(ObjectStates(), clock, now)  # camera_pose was restarted without the search
+    assert not others.unknown and others.searched(150.0)
+
+
+def test_no_tap_is_commanded_before_the_first_search() -> None:
+    actors = Searching()
+    actors.searching, actors.searched_at = False, Time(nanosec=1)
+    actors.send(GOAL)
+    actors.run(1.0)
+    assert actors.plans[-1].state == PlanState.LOOKING and not actors.taps()
+    actors.searching = True
+    assert actors.ended().state == PlanState.REACHED

@@ -23,11 +23,13 @@ from tapping_cell.logic.planner import PlannerLogic
 from tapping_cell.logic.planner_settings import PlannerSettings
 from tapping_cell.logic.poses import from_message, to_message
 from tapping_cell.logic.table_maps import TableMaps
+from tapping_cell.logic.task import Task
 from tapping_cell.messages import (
     ArmState,
     ErrorCode,
     GoalReport,
     ObjectState,
+    ObjectStates,
     PlanState,
     PoseStamped,
     PositionObject,
@@ -721,6 +723,49 @@ def test_the_residual_is_reported(actors: Actors) -> None:
     assert first.residual_distance == pytest.approx(START.distance_to(GOAL), abs=1e-6)
     assert first.residual_rotation == pytest.approx(START.rotation_to(GOAL), abs=1e-6)
     actors.end()
+
+
+def test_the_final_pose_is_that_of_the_decision(actors: Actors) -> None:
+    # camera_pose publishes `object_states` after `object_state`, so the planner decides before it
+    # receives the states of the same image.
+    name = shipped()[0].object.name
+    earlier = ObjectStates(objects=[ObjectState(object_id=name)])
+    actors.publish("object_states", earlier)
+    actors.wait(lambda: actors.states, "the planner is up")
+    actors.run(0.3)
+    request = PositionObject.Goal()
+    request.goal_pose.header.frame_id, request.goal_pose.pose = "table", to_message(GOAL)
+    results: list[PositionObject.Result] = []
+    actors.process.request("position_object", request, 1, results.append)
+    actors.wait(lambda: results, "the result")
+    (result,) = results
+    assert result.error_code == 0, result
+    assert from_message(result.final_pose.pose.pose) == pytest.approx(actors.pose)
+    assert result.residual_distance == pytest.approx(GOAL.distance_to(actors.pose), abs=1e-9)
+
+
+def test_a_goal_waits_for_its_solution_among_other_obstacles(
+    actors: Actors, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A solver in the background begins anew if an obstacle moves after the goal was solved."""
+    ready_at = [0.0]
+    update, decide, decided = GoalHandling.update_free_space, Task.decide, []
+
+    def change(*arguments: Any) -> Any:
+        if not ready_at[0]:
+            ready_at[0] = actors.now() + 3.0
+        return update(*arguments)
+
+    def note(*arguments: Any) -> Any:
+        decided.append(actors.now())
+        return decide(*arguments)
+
+    monkeypatch.setattr(GoalHandling, "update_free_space", change)
+    monkeypatch.setattr(Task, "decide", note)
+    monkeypatch.setattr(Task, "ready", property(lambda _: actors.now() >= ready_at[0]))
+    actors.send()
+    assert actors.end().state == PlanState.REACHED
+    assert decided[0] >= ready_at[0] > 0.0
 
 
 def test_a_goal_ends_at_its_time_limit_and_withdraws_its_tap() -> None:

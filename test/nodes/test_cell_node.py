@@ -1,0 +1,78 @@
+"""Common base of the nodes: unexpected exceptions of a transition, and parameters set at once."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import pytest
+import rclpy
+from rclpy.parameter import Parameter
+
+from tapping_cell.configuration.schema import text
+from tapping_cell.nodes.cell_node import CellNode, run
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """Parameters of the node under test."""
+
+    autostart: bool = text("configure and activate automatically", default=True)
+    method: str = text("method", default="a")
+    ask: bool = text("ask", default=True)
+
+
+class Defective(CellNode[Settings]):
+    """Node whose transition has a defect."""
+
+    changeable = ("method", "ask")
+    transition = "configure"
+    changed: list[tuple[str, object]]
+
+    def __init__(self) -> None:
+        super().__init__("defective", Settings)
+        self.changed = []
+
+    def configure(self) -> None:
+        if self.transition == "configure":
+            raise RuntimeError("the home folder is not known")
+
+    def activate(self) -> None:
+        if self.transition == "activate":
+            raise RuntimeError("the home folder is not known")
+
+    def change(self, name: str, value: object) -> None:
+        if value == "unknown":
+            raise ValueError("no such method")
+        self.changed.append((name, value))
+
+
+@pytest.fixture
+def node(monkeypatch: pytest.MonkeyPatch) -> Iterator[Defective]:
+    monkeypatch.setattr(Defective, "transition", "")
+    rclpy.init(args=["--ros-args", "-p", "autostart:=false"])
+    made = Defective()
+    yield made
+    made.destroy_node()
+    rclpy.try_shutdown()
+
+
+@pytest.mark.parametrize("transition", ["configure", "activate"])
+def test_an_unexpected_exception_of_a_transition_ends_the_node_with_its_reason(
+    transition: str, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(Defective, "transition", transition)
+    assert run(Defective, []) == 1
+    printed = capfd.readouterr().err
+    assert "Traceback" in printed and "the home folder is not known" in printed
+    assert "report it with the log" in printed
+
+
+def test_nothing_is_applied_if_one_of_several_parameters_is_refused(node: Defective) -> None:
+    ask, unknown = Parameter("ask", value=False), Parameter("method", value="unknown")
+    result = node.set_parameters_atomically([ask, unknown])
+    assert (result.successful, result.reason) == (False, "no such method")
+    assert node.changed == [] and node.get_parameter("ask").value is True
+    known = Parameter("method", value="b")
+    assert node.set_parameters_atomically([ask, known]).successful
+    assert node.changed == [("method", "b"), ("ask", False)]
