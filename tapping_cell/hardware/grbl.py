@@ -47,6 +47,7 @@ ERRORS = {
     15: "the target is beyond the machine's travel",
     20: "an unsupported command",
     22: "no feed rate",
+    46: "homing is required",
 }
 
 

@@ -29,6 +29,9 @@ class GrblController:
     has_files: bool = False
     """True if most settings are named and stored in a file. ``$$`` then lists only a
     few settings."""
+    report_bits: int = 1
+    """Bits of ``$10`` that must be set."""
+    report_meaning: str = "must be odd, so that reports contain the machine position"
     homing_masks: tuple[int, ...] = ()
     """Settings that select the axes of each homing cycle; empty if the axes are fixed at build
     time."""
@@ -40,6 +43,9 @@ GRBL = GrblController("Grbl")
 MEGA_5X = GrblController("grbl-Mega-5X")
 GRBL_HAL = GrblController(
     "grblHAL",
+    report_bits=33,
+    report_meaning="bits 0 and 5 must be set, so that reports contain the machine position and the "
+    "work offset",
     homing_masks=(44, 45, 46, 47, 48, 49),
     alarms={
         10: "the emergency stop is pressed",

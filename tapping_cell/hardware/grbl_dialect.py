@@ -25,6 +25,8 @@ move starts before its ``ok`` arrives."""
 POLL_PERIODS = (0.002, 0.02)
 """First and longest time between status queries at the end of a move, s; the time doubles with each
 query. During the move the controller is not queried."""
+HOMING_REQUIRED = 46
+"""Error number with which grblHAL refuses to unlock before homing (bit 2 of ``$22``)."""
 LOCKED = {
     "Alarm": "locked by an alarm",
     "Hold": "in a feed hold",
@@ -245,6 +247,8 @@ class GrblDialect(LineDialect[grbl.Frame]):
                     "(arm.homing_timeout): check for an axis that does not reach its switch",
                 ) from fault
             if fault.reason in (FaultReason.ALARM, FaultReason.REJECTED):
+                if fault.reason is FaultReason.ALARM:
+                    self._await_restart(deadline)
                 raise HardwareFault(
                     FaultReason.HOMING_FAILED,
                     f"homing failed: {fault}: check the home switches and $22 to $27",
@@ -259,6 +263,14 @@ class GrblDialect(LineDialect[grbl.Frame]):
             self._check_homed(self._ask_status(deadline))
         if axes is not None:
             self.set_position(axes, deadline)
+
+    def _await_restart(self, deadline: float) -> None:
+        """Wait for the greeting of a controller that resets itself after homing has failed, so that
+        the next reading does not report the reset as a fault of its own."""
+        self._known = self._marked = False
+        self._await_banner(min(deadline, self._transport.now() + RESET_TIME))
+        self._drain()
+        self._known, self._unanswered = True, False
 
     def set_position(self, axes: Axes, deadline: float) -> None:
         """Set the position with ``G92``, then the mark with ``MARK_LINE``. A reset clears both, so
@@ -306,7 +318,8 @@ class GrblDialect(LineDialect[grbl.Frame]):
             self.counters.retries += 1
         self._drain()
         self._await_first_status(deadline)
-        self._command(b"$X\n", deadline)
+        # If the controller stays locked until it is homed, the fault is cleared nevertheless.
+        self._command(b"$X\n", deadline, accepted=HOMING_REQUIRED)
         self._offset = None
         self._known = True
 
@@ -368,8 +381,11 @@ class GrblDialect(LineDialect[grbl.Frame]):
                 raise self._silent("status report")
             self.counters.retries += 1
 
-    def _command(self, line: bytes, deadline: float) -> list[grbl.Frame]:
+    def _command(
+        self, line: bytes, deadline: float, accepted: int | None = None
+    ) -> list[grbl.Frame]:
         """Send one line, wait for its ``ok``, and return the frames received before it.
+        ``accepted``: error number that counts as ``ok``.
 
         An ``ok`` does not state which line it answers. If the ``ok`` of an earlier line is
         outstanding, it is awaited first, so that it is not mistaken for the answer to this line.
@@ -383,7 +399,7 @@ class GrblDialect(LineDialect[grbl.Frame]):
         self._transport.write(line)
         frames: list[grbl.Frame] = []
         while (frame := self._await(deadline)) is not None:
-            if isinstance(frame, grbl.Ok):
+            if isinstance(frame, grbl.Ok) or frame == grbl.Error(accepted or 0):
                 self._unanswered = False
                 return frames
             if isinstance(frame, grbl.Error):
@@ -625,9 +641,9 @@ class GrblDialect(LineDialect[grbl.Frame]):
             Finding(
                 "$10",
                 shown.get(10, "missing"),
-                "must be odd, so that reports contain the machine position",
-                mask is not None and int(mask) % 2 == 1,
-                f"$10={int(mask or 0) | 1}",
+                controller.report_meaning,
+                mask is not None and int(mask) & controller.report_bits == controller.report_bits,
+                f"$10={int(mask or 0) | controller.report_bits}",
                 storable=True,
             )
         )

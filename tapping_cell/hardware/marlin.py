@@ -85,9 +85,10 @@ class AxisFigures:
 
 @dataclass(frozen=True, slots=True)
 class SoftEndstops:
-    """Answer to ``M211``: whether targets are clipped, and the limits."""
+    """Answer to ``M211``: whether targets are clipped, and the limits. Since version 2.0.9, these
+    are two lines: a part that a line does not contain is None or empty."""
 
-    on: bool
+    on: bool | None
     low: Mapping[str, float]
     high: Mapping[str, float]
 
@@ -143,10 +144,24 @@ _COUNT = re.compile(r"([A-Z]): ?(-?\d{1,10})(?= |$)")
 _FIGURES = re.compile(r"^(?:echo:)? *M(92|201|203)((?: [A-Z]\d{1,7}(?:\.\d{1,4})?)+)$")
 _PLACE = r"((?: *[A-Z]:?-?\d{1,7}(?:\.\d{1,4})?)+)"
 _SOFT_ENDSTOPS = re.compile(
-    rf"^(?:echo:)?Soft endstops: (ON|OFF|On|Off) +Min: *{_PLACE} +Max: *{_PLACE}$"
+    rf"^(?:echo:)?(?:Soft endstops: (ON|OFF|On|Off))? +Min: *{_PLACE} +Max: *{_PLACE}$"
 )
+_SOFT_ENDSTOPS_ON = re.compile(r"^(?:echo:)? *M211 S([01])(?: ; ?(?:ON|OFF|On|Off))?$")
 _FIRMWARE = re.compile(r"^FIRMWARE_NAME:(.{1,60}?)(?: SOURCE_CODE_URL:.*| PROTOCOL_VERSION:.*)?$")
 _CAPABILITY = re.compile(r"^Cap:([A-Z0-9_]{1,40}):([01])$")
+
+
+FEED_GROUPS = ("XYZ", "UVW", "ABC")
+"""Axes to whose displacement the feed of a move refers: those of the first group in which an axis
+moves, as in LinuxCNC. Firmware that is built with ``ARTICULATED_ROBOT_ARM`` takes all axes."""
+
+
+SMALL = 2.0
+"""Displacement from which its rounding to steps hardly changes the speed, units."""
+SMALL_MIN = 0.25 / 60
+"""Maximum duration of the line for a smaller displacement, min."""
+DECIMALS = 3
+"""Number of decimals of a position in a line."""
 
 
 def decode(buffer: bytes) -> Decoded[Frame]:
@@ -183,7 +198,10 @@ def decode_line(line: bytes) -> Frame:
     if found := _FIGURES.match(text):
         return AxisFigures(f"M{found[1]}", _by_axis(found[2]))
     if found := _SOFT_ENDSTOPS.match(text):
-        return SoftEndstops(found[1].upper() == "ON", _by_axis(found[2]), _by_axis(found[3]))
+        on = None if found[1] is None else found[1].upper() == "ON"
+        return SoftEndstops(on, _by_axis(found[2]), _by_axis(found[3]))
+    if found := _SOFT_ENDSTOPS_ON.match(text):
+        return SoftEndstops(found[1] == "1", {}, {})
     if found := _FIRMWARE.match(text):
         return FirmwareName(found[1])
     if found := _CAPABILITY.match(text):
@@ -207,7 +225,8 @@ def numbered(number: int, code: str) -> bytes:
 
 
 def move_code(letters: str, target: Sequence[float], feed: float) -> str:
-    """Format a straight move of the axes ``letters`` to ``target`` at ``feed`` units/min.
+    """Format a straight move of the axes ``letters`` to ``target`` at ``feed`` units/min. The feed
+    refers to a part of the axes only: see :data:`FEED_GROUPS`.
 
     Raises ValueError if a value is not finite or the feed is not above 0.
     """
@@ -216,8 +235,48 @@ def move_code(letters: str, target: Sequence[float], feed: float) -> str:
     return f"G1{axis_text(letters, target)} F{feed:.3f}"
 
 
+def feed_parts(
+    letters: str, start: Sequence[float], target: Sequence[float], feed: float
+) -> list[tuple[str, Sequence[float], float]]:
+    """Divide a straight move into lines for :func:`move_code`, as axes, target and feed of each.
+
+    ``feed``: speed along the line through all axes, units/min. Usually there is one line, without
+    the axes that do not move. There are two if the displacement to which the feed would refer is
+    less than ``SMALL``: the firmware rounds it to steps, which would change the speed of the other
+    axes.
+    """
+    ways = {
+        letter: round(end, DECIMALS) - round(begin, DECIMALS)
+        for letter, begin, end in zip(letters, start, target, strict=True)
+    }
+    values = dict(zip(letters, target, strict=True))
+    whole = math.hypot(*ways.values())
+    groups = [[one for one in letters if one in group] for group in FEED_GROUPS]
+    groups.append([one for one in letters if one not in "".join(FEED_GROUPS)])
+    moving = [group for group in groups if any(ways[one] for one in group)]
+    if not moving:
+        return [(letters, target, feed)]
+    first, others = moving[0], [one for group in moving[1:] for one in group]
+    length = math.hypot(*(ways[one] for one in first))
+    if length >= SMALL or not others:
+        used = "".join([*first, *others])
+        return [(used, [values[one] for one in used], feed * length / whole)]
+    minutes = whole / feed
+    begin = dict(zip(letters, start, strict=True))
+    rest = math.hypot(*(ways[one] for one in others))
+    return [
+        *feed_parts(
+            "".join(others),
+            [begin[one] for one in others],
+            [values[one] for one in others],
+            rest / minutes,
+        ),
+        ("".join(first), [values[one] for one in first], length / min(minutes, SMALL_MIN)),
+    ]
+
+
 def axis_text(letters: str, values: Sequence[float]) -> str:
     """Format axis words, each preceded by a space; ValueError for values that are not finite."""
     if not all(math.isfinite(value) for value in values):
         raise ValueError(f"axis values {tuple(values)} must be finite")
-    return "".join(f" {a}{v:.3f}" for a, v in zip(letters, values, strict=True))
+    return "".join(f" {a}{v:.{DECIMALS}f}" for a, v in zip(letters, values, strict=True))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import secrets
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -48,6 +49,8 @@ SET = "{name}{value}, then M500"
 PREPARATION = ("G21", "G90", "M220 S100", "M84 S0", "M17")
 """Codes sent at every connect: mm, absolute positions, no speed override, no idle timeout of the
 motors, motors on."""
+SAME = 0.03
+"""Distance between a sent and a reported target that its rounding can cause, units."""
 RECOVERIES = 8
 """Maximum number of times that a line is resent before the connection counts as lost."""
 KEPT_LINES = 4
@@ -92,6 +95,8 @@ class MarlinDialect(LineDialect[marlin.Frame]):
         self._offset: dict[str, float] = {}
         """Reported position minus step counts, in axis units, while the arm is at rest. It is not 0
         if the firmware has a workspace offset (``G92``) or a home offset (``M206``)."""
+        self._target: Axes | None = None
+        """Target of the last move; None if the present target is not known."""
 
     @property
     def stop_bytes(self) -> bytes:
@@ -178,8 +183,16 @@ class MarlinDialect(LineDialect[marlin.Frame]):
         return _asked_twice(lambda: self._position(deadline)[0])
 
     def _start_move(self, target: Axes, feed: float, deadline: float) -> None:
-        """Queue one move."""
-        self._order(marlin.move_code(self._settings.letters, target, feed), deadline)
+        """Queue one move, or two if the displacement to which the feed would refer is so small that
+        the firmware's rounding to steps would change the speed of the other axes."""
+        start, self._target = self._target, None
+        if start is None:
+            start = self.read(deadline).axes
+        for letters, values, speed in marlin.feed_parts(
+            self._settings.letters, start, target, feed
+        ):
+            self._order(marlin.move_code(letters, values, speed), deadline)
+        self._target = target
 
     def finish_move(
         self, expected_end: float, deadline: float, within: Callable[[Axes], bool]
@@ -500,16 +513,27 @@ class MarlinDialect(LineDialect[marlin.Frame]):
             frames = self._command("M211", deadline)
             return [frame for frame in frames if isinstance(frame, marlin.SoftEndstops)]
 
-        for frame in _asked_twice(ask_soft_endstops):
-            if frame.on:
-                free = {
-                    axis: frame.high[axis] - frame.low[axis]
-                    for axis in self._settings.letters
-                    if axis in frame.low and axis in frame.high
-                }
-                if len(free) == AXIS_COUNT:
-                    span = columns("M211 range", free)
-                    findings += controller_needs.at_least(*span, needs.travel, "M211 S0")
+        frames = _asked_twice(ask_soft_endstops)
+        if any(frame.on for frame in frames):
+            free = {
+                axis: frame.high[axis] - frame.low[axis]
+                for frame in frames
+                for axis in self._settings.letters
+                if axis in frame.low and axis in frame.high
+            }
+            if len(free) == AXIS_COUNT:
+                span = columns("M211 range", free)
+                findings += controller_needs.at_least(*span, needs.travel, "M211 S0")
+            elif needs.travel is not None:
+                findings.append(
+                    Finding(
+                        "M211",
+                        "on",
+                        "must be off, because the limits of the axes are not reported",
+                        False,
+                        "M211 S0, then M500",
+                    )
+                )
         return findings
 
     def _offset_before_homing(self, deadline: float) -> dict[str, float]:
@@ -564,6 +588,8 @@ class MarlinDialect(LineDialect[marlin.Frame]):
                 f" {AXIS_COUNT} axes, or correct arm.axis_letters in the cell file",
             )
         commanded = tuple(frame.commanded[letter] for letter in letters)
+        if self._target is not None and math.dist(commanded, self._target) > SAME:
+            self._target = None  # the move was stopped, or another program has moved the arm
         if not self._steps or not set(letters) <= set(frame.counts):
             return AxisReading(commanded, False, "", False, asked)
         actual = tuple(frame.counts[a] / self._steps[a] + self._offset.get(a, 0.0) for a in letters)

@@ -43,6 +43,9 @@ FIRE has no deadline, so the board could fire long after the last check."""
 CLOCK_TOLERANCE = 0.01
 """Maximum relative difference in rate between the board's clock and this computer's clock. The
 board's ceramic resonator is accurate to 0.5 %."""
+LONGEST_CHARGE = 10.0
+"""Time after which the board discharges by itself, counted from CHARGE, s. It is the longest that
+the board accepts: charging takes up to ``charge_timeout``, and the arm may be late by 3 s."""
 RETURNING = frozenset({State.RELEASING, State.DISCHARGING, State.HOMING})
 """Transient states that lead to a state in which the board can charge."""
 
@@ -349,7 +352,7 @@ class TapperDriver(RecordingTapper):
         shot: int,
         energy: float,
         go_on: Callable[[], bool] = lambda: True,
-        timeout: float = 5.0,
+        timeout: float = LONGEST_CHARGE,
         channel: int = 0,
     ) -> Reply:
         """Store ``energy`` in J for ``shot`` on a channel; return when charged.

@@ -24,7 +24,7 @@ from tapping_cell.hardware.scara import Joints, ScaraGeometry, TipPose
 from tapping_cell.logic import arm_jobs, enabling, permit, tap_commands
 from tapping_cell.logic.arm_jobs import MotionEnd, Reading
 from tapping_cell.logic.clock import Now, to_nanoseconds, to_stamp
-from tapping_cell.logic.device import DeviceLogic, patience_after
+from tapping_cell.logic.device import LONGEST_TIMEOUT_S, MUTE, DeviceLogic, patience_after
 from tapping_cell.logic.effects import (
     Answer,
     Effect,
@@ -602,9 +602,16 @@ class ArmLogic(DeviceLogic[State, Event]):
             self._clear_of_camera = True
 
     def _job_failed(self, name: str, fault: HardwareFault, now: Now) -> None:
+        tried = self.patience
         if name == "connect":
             self.patience = patience_after(self.patience, fault)
         if self.state is S.INACTIVE and fault.reason not in LINE_LOST:
+            self._reading_kept = None  # the position is known again after the next reading
+            return
+        if name == "connect" and fault.reason in MUTE and tried < LONGEST_TIMEOUT_S:
+            # The board may still be starting, because opening a port restarts many boards.
+            self._fail_to(S.DISCONNECTED)
+            self._set_error(of_arm(fault), fault.sentence)
             return
         if name == "place" and fault.reason is FaultReason.UNREACHABLE:
             # No motion command was sent, so the arm has not moved and there is no fault to clear.

@@ -17,7 +17,7 @@ import numpy as np
 
 from tapping_cell.simulation.arm_emulator import ArmEmulator
 from tapping_cell.simulation.device_emulator import earliest
-from tapping_cell.simulation.grbl_machine import GrblMachine
+from tapping_cell.simulation.grbl_machine import GrblMachine, default_settings
 from tapping_cell.simulation.grbl_program import Line, Modal, Refused, read_line
 from tapping_cell.simulation.joint_motion import Array
 from tapping_cell.simulation.motor_axes import AXES
@@ -49,10 +49,12 @@ class GrblEmulator(ArmEmulator):
     def __init__(self, machine: GrblMachine | None = None, seed: int = 0, now: float = 0.0) -> None:
         self.machine = machine or GrblMachine()
         super().__init__(self.machine, seed)
-        self._settings = dict(self.machine.settings)
         self._variant = self.machine.variant
+        self._settings = default_settings(self._variant) | self.machine.settings
         self._names = dict(self._variant.names)
         self._homed = False
+        self.finds_switches = True
+        """Whether homing finds the home switches; otherwise it ends with alarm 9."""
         self._boots_until: float | None = None
         self._feed_override = 100
         self._waiting_for_block: Callable[[float], None] | None = None
@@ -224,11 +226,12 @@ class GrblEmulator(ArmEmulator):
             else f"WPos:{self._shown(machine - offset)}"
         )
         fields = [self._shown_state(now), place, "FS:0,0"]
-        if self._reports == 0:
+        bit = self._variant.offset_bit
+        if self._reports == 0 and (not bit or int(self._settings[10]) & bit):
             fields.append("WCO:" + self._shown(offset))
             self._reports = 30 if fields[0] == "Idle" else 10
         else:
-            self._reports -= 1
+            self._reports = max(self._reports - 1, 0)
             if self._reports == 1:
                 fields.append(f"Ov:{self._feed_override},100,100")
         self._output.put(f"<{'|'.join(fields)}>\r\n".encode(), now)
@@ -314,6 +317,9 @@ class GrblEmulator(ArmEmulator):
                 send(f"[G{system}:{','.join(f'{v:.3f}' for v in place)}]\r\n".encode(), now)
             send(f"[G92:{','.join(f'{v:.3f}' for v in self._shift)}]\r\n".encode(), now)
         elif text == "$X":
+            bit = self._variant.locked_until_homed_bit
+            if self._state == "Alarm" and int(self._settings[22]) & bit and not self._homed:
+                raise Refused(46)
             if self._state == "Alarm":
                 self._state = "Idle"
                 self._power(now)
@@ -526,6 +532,11 @@ class GrblEmulator(ArmEmulator):
                 steps.append((here, speed))
 
         def following(at: float) -> None:
+            if not self.finds_switches:
+                # Real firmware then resets itself.
+                self._alarm(9, at)
+                self._restart(at, hard=False, delay=self._variant.reset_delay)
+                return
             while steps:
                 target, speed = steps.pop(0)
                 acceleration = float(np.min(self._per_axis(120)))

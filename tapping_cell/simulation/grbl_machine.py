@@ -8,13 +8,13 @@ from tapping_cell.simulation.grbl_variants import GRBL, GrblVariant
 from tapping_cell.simulation.motor_axes import ArmMachine, Joints
 
 
-def default_settings() -> dict[int, float]:
+def default_settings(variant: GrblVariant = GRBL) -> dict[int, float]:
     """Return the Grbl settings for the simulated arm; rates in units/min, accelerations in
     units/s^2, travels in units."""
     return {
         0: 10,
         1: 255,
-        10: 1,
+        10: 511 if variant.offset_bit else 1,
         11: 0.01,
         12: 0.002,
         13: 0,
@@ -41,5 +41,6 @@ class GrblMachine(ArmMachine):
     """The arm that the emulated controller drives, and its firmware."""
 
     home_joints: Joints = (0.0, 1.5708, 0.0, 0.0)
-    settings: dict[int, float] = field(default_factory=default_settings)
+    settings: dict[int, float] = field(default_factory=dict)
+    """Settings that differ from ``default_settings``."""
     variant: GrblVariant = GRBL

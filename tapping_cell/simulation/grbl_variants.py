@@ -33,6 +33,12 @@ class GrblVariant:
     unhomed_alarm: int | None = None
     """Alarm that is reported after the greeting until the arm has been homed."""
     reports_while_homing: bool = False
+    offset_bit: int = 0
+    """Bit of ``$10`` without which a report never contains the work offset; 0 if there is no such
+    bit."""
+    locked_until_homed_bit: int = 0
+    """Bit of ``$22`` with which ``$X`` is refused until the arm is homed; 0 if there is no such
+    bit."""
     homing_masks: tuple[int, ...] = ()
     """Settings that select the axes of each homing cycle; if empty, all four axes home."""
     unhomed_axes: frozenset[int] = frozenset()
@@ -62,6 +68,8 @@ GRBL_HAL = GrblVariant(
         b"[NVS STORAGE:*FLASH]",
     ),
     reports_while_homing=True,
+    offset_bit=32,
+    locked_until_homed_bit=4,
     homing_masks=(44, 45, 46, 47),
 )
 

@@ -52,6 +52,8 @@ class MarlinMachine(ArmMachine):
     soft_low: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
     soft_high: tuple[float, float, float, float] = (200.0, 200.0, 200.0, 200.0)
     """Upper limits that ``M211`` reports; the emulated firmware does not clip targets to them."""
+    two_lines: bool = False
+    """Whether the answer to ``M211`` has the format that Marlin uses since version 2.0.9."""
     idle_time: float = 120.0
     """Idle time after which the motors lose their power, s (DEFAULT_STEPPER_TIMEOUT_SEC)."""
 
@@ -319,11 +321,16 @@ class MarlinEmulator(ArmEmulator):
             self._send_line(f"echo:  {code}" + "".join(f" {a}{v:.2f}" for a, v in figures), now)
         elif code == "M211" and not words:
             low, high = (
-                " ".join(f"{a}{v:.2f}" for a, v in zip(letters, ends, strict=True))
+                " ".join(f"{a}{v:.2f}" for a, v in zip(letters, ends, strict=False))
                 for ends in (self.machine.soft_low, self.machine.soft_high)
             )
             on = "ON" if self.machine.soft_endstops else "OFF"
-            self._send_line(f"Soft endstops: {on}  Min: {low}  Max: {high}", now)
+            if self.machine.two_lines:
+                self._send_line("echo:; Soft endstops:", now)
+                self._send_line(f"echo:  M211 S{int(self.machine.soft_endstops)} ; {on}", now)
+                self._send_line(f"echo:  Min:  {low}   Max:  {high}", now)
+            else:
+                self._send_line(f"Soft endstops: {on}  Min: {low}  Max: {high}", now)
         elif code == "M17":
             self._power(now)
         elif code in ("M18", "M84"):
@@ -353,14 +360,18 @@ class MarlinEmulator(ArmEmulator):
             if letter in words:
                 value = words[letter] * scale
                 target[axis] = target[axis] + value if self._relative else value - self._shift[axis]
-        delta = np.abs(target - self._commanded)
+        # The firmware computes in whole steps.
+        delta = np.abs(np.round(target * self._steps) - np.round(self._commanded * self._steps))
+        delta /= self._steps
         length = float(np.linalg.norm(delta))
         if length == 0:
+            self._commanded = target
             self._send_line("ok", now + LINE_TIME)
             return
         used = delta > 1e-9 * length
         parts = delta[used] / length
-        speed = min(self._feed / 60, float(np.min(np.array(self.machine.max_rate)[used] / parts)))
+        wanted = self._feed / 60 * length / self._feed_length(delta)
+        speed = min(wanted, float(np.min(np.array(self.machine.max_rate)[used] / parts)))
         pull = float(np.min(np.array(self.machine.acceleration)[used] / parts))
         self._commanded = target
 
@@ -373,6 +384,13 @@ class MarlinEmulator(ArmEmulator):
             return True
 
         self._begin(queue, now)
+
+    def _feed_length(self, delta: Array) -> float:
+        """Return the displacement to which the feed refers: that of the linear axes X, Y, Z, or if
+        none of them moves, that of the other axes."""
+        linear = [axis for axis, letter in enumerate(self.machine.letters) if letter in "XYZ"]
+        way = float(np.linalg.norm(delta[linear]))
+        return way if way > 0 else float(np.linalg.norm(delta))
 
     def _start_block(self, now: float) -> None:
         target, speed, pull = self._blocks[0]

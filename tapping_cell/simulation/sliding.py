@@ -141,13 +141,15 @@ class Slide:
 
     def step(self, motion: Motion, longest: float = LONGEST_STEP_S) -> tuple[Motion, float]:
         """Make one fourth-order Runge-Kutta step; return the motion after the step and the step's
-        length in s.
+        length in s, which is 0 if friction stops the body at once.
 
         The step is as long as the accuracy allows, at most ``longest``. The returned velocity is
         zero if the body has come to rest and friction holds it.
         """
-        first = self.acceleration(motion)
         speed = self.speed(motion)
+        if speed < STOP_SPEED and self.stays(motion):
+            return Motion(motion.x, motion.y, motion.theta), 0.0
+        first = self.acceleration(motion)
         braking = math.hypot(first.x, first.y) + self.reach * abs(first.angular)
         length = min(longest, LONGEST_STEP_S)
         if braking > 0:

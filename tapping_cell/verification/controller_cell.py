@@ -12,7 +12,7 @@ from tapping_cell.hardware.marlin_dialect import MarlinDialect
 from tapping_cell.hardware.scara import Joints, ScaraGeometry
 from tapping_cell.simulation.fault_layer import FaultLayer
 from tapping_cell.simulation.grbl_emulator import GrblEmulator
-from tapping_cell.simulation.grbl_machine import GrblMachine, default_settings
+from tapping_cell.simulation.grbl_machine import GrblMachine
 from tapping_cell.simulation.grbl_variants import VARIANTS
 from tapping_cell.simulation.marlin_emulator import MarlinEmulator, MarlinMachine
 from tapping_cell.simulation.virtual_line import VirtualClock, VirtualTransport
@@ -55,7 +55,7 @@ class ControllerCell:
             grbl = GrblMachine(
                 start_joints=START,
                 home_joints=HOME,
-                settings=default_settings() | dict(settings or {}),
+                settings=dict(settings or {}),
                 variant=VARIANTS[name],
             )
             self.emulator = GrblEmulator(change(grbl), seed)

@@ -262,7 +262,7 @@ def _no_holding_torque(cell: ControllerCell, rng: np.random.Generator) -> None:
 def _work_position(cell: ControllerCell, rng: np.random.Generator) -> None:
     cell.emulator.receive(b"$10=0\n", cell.clock.now)
     began = cell.clock.now
-    words = r"\$10 is 0, must be odd.*send \$10=1"
+    words = r"\$10 is 0, (must be odd.*send \$10=1|bits 0 and 5 must be set.*send \$10=33)"
     _expect(cell.driver.connect, FaultReason.SETTINGS_MISMATCH, words)
     if cell.clock.now - began > 5.0:
         raise WrongError(f"connecting failed only after {cell.clock.now - began:.1f} s (limit 5 s)")

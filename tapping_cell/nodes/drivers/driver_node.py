@@ -104,14 +104,16 @@ class DriverNode(LogicNode[Parameters], Generic[Parameters, Driver]):
         return answer
 
     def link_to(self, section: Section, make: Callable[[Section], Link]) -> Link:
-        """Return the link to a robot's own ROS driver. The same link is returned until ``section``,
-        the driver's section of the cell file, changes."""
+        """Return the link to a robot's own ROS driver for a new driver of the device. The same link
+        is returned until ``section``, the driver's section of the cell file, changes."""
         if self._link is not None and self._linked_to != section:
             self._link.destroy()
             self._link = None
         if self._link is None:
             self._link = make(section)
             self._linked_to = section
+        # The state machine, which keeps a stop, makes the new driver stop again.
+        self._link.release()
         return cast(Link, self._link)
 
     def destroy_node(self) -> None:

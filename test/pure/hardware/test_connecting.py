@@ -90,8 +90,16 @@ def test_soft_limits_of_grbl_count_only_if_enabled() -> None:
             {"soft_endstops": True, "soft_high": (60.0,) * 4},
             "M211 range A is 60, must be at least 100",
         ),
+        (
+            {"soft_endstops": True, "soft_high": (60.0,) * 4, "two_lines": True},
+            "M211 range A is 60, must be at least 100",
+        ),
+        (
+            {"soft_endstops": True, "soft_high": (60.0,) * 3, "two_lines": True},
+            "M211 is on, must be off",
+        ),
     ],
-    ids=["steps", "rate", "acceleration", "soft end stops"],
+    ids=["steps", "rate", "acceleration", "soft end stops", "since 2.0.9", "unknown limits"],
 )
 def test_a_marlin_with_other_settings_is_refused_with_both_values(
     change: dict[str, object], words: str

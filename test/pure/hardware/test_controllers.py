@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -416,3 +417,81 @@ def test_a_halted_marlin_keeps_reporting_it() -> None:
         driver.read()
     with pytest.raises(HardwareFault, match="probably halted .*M112.*press the reset button"):
         driver.read()
+
+
+def test_a_controller_that_stays_locked_until_it_is_homed_is_cleared() -> None:
+    """Bit 2 of grblHAL's ``$22``: homing on startup required. ``$X`` is then refused."""
+    cell = ControllerCell("grblhal", {22: 5.0})
+    driver = cell.ready()  # clears the alarm after power-up first
+    cell.during_the_next_move(0.4, driver.stop)
+    with pytest.raises(HardwareFault):
+        driver.move_to(FAR, 0.3)
+    driver.clear_fault()
+    assert driver.fault is None and not driver.homed
+    driver.home(HomingStrategy.FIRMWARE)
+    driver.move_to(FAR)
+    assert np.allclose(cell.truth(), FAR, atol=1e-3)
+
+
+def test_reports_without_the_work_offset_are_refused() -> None:
+    cell = ControllerCell("grblhal", {10: 1.0})
+    with pytest.raises(
+        HardwareFault, match=r"\$10 is 1, bits 0 and 5 must be set.*\$10=33"
+    ) as caught:
+        cell.driver.connect()
+    assert caught.value.reason is FaultReason.SETTINGS_MISMATCH
+    assert ControllerCell("grblhal", {10: 33.0}).ready().homed
+
+
+@pytest.mark.parametrize("name", GRBL_NAMES)
+def test_homing_that_fails_can_be_repeated_at_once(name: str) -> None:
+    """The controller resets itself after the alarm; this reset is no fault of its own."""
+    cell = ControllerCell(name)
+    driver = cell.ready()
+    assert isinstance(cell.emulator, GrblEmulator)
+    cell.emulator.finds_switches = False
+    with pytest.raises(HardwareFault, match="homing failed.*found no limit switch") as caught:
+        driver.home(HomingStrategy.FIRMWARE)
+    assert caught.value.reason is FaultReason.HOMING_FAILED
+    cell.wait(0.5)
+    assert driver.read().alarm and driver.fault is None
+    cell.emulator.finds_switches = True
+    if name == "grbl-mega-5x":
+        cell.emulator.push(cell.truth()._replace(tool=0.0), cell.clock.now)
+    driver.home(HomingStrategy.FIRMWARE)
+    driver.move_to(FAR)
+    assert np.allclose(cell.truth(), FAR, atol=1e-3)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_no_joint_moves_faster_than_asked(name: str) -> None:
+    """The feed of a controller refers to the length of the move through all axes, or only to the
+    part of some of the axes."""
+    cell = ControllerCell(name)
+    driver = cell.ready()
+    units, speeds = np.array(cell.dialect.units), np.array(driver.geometry.max_speed)
+    move, fastest = cell.emulator._axes.move, list[Any]()
+
+    def note(target: Any, now: float, speed: float, pull: float) -> float:
+        way = np.abs(target - cell.emulator._axes.motors(now))
+        if np.linalg.norm(way) > 0.1:  # a displacement of a few steps reaches no speed
+            fastest.append(speed * way / np.linalg.norm(way) / units)
+        return move(target, now, speed, pull)
+
+    cell.emulator._axes.move = note  # type: ignore[method-assign]
+    rng = np.random.default_rng(5)
+    here = np.array(HOME)
+    for tool in (1.5, -1.5, 0.0, 1.5, -1.5, 1.0):
+        for way in (0.5, 0.05, 0.008, 1e-5, 0.0):
+            goal = here + np.array([*rng.uniform(-way, way, 2), 0.0, 0.0])
+            goal[3] = -tool if here[3] == tool else tool
+            share = float(rng.uniform(0.1, 0.5))
+            fastest[:] = [np.zeros(4)]
+            began = cell.clock.now
+            driver.move_to(goal, share)
+            took = cell.clock.now - began
+            assert np.max(np.array(fastest) / speeds) <= 1.02 * share
+            least = float(np.max(np.abs(goal - here) / speeds)) / share
+            assert took < least + 1.5
+            assert np.allclose(cell.truth(), goal, atol=1e-3)
+            here = goal

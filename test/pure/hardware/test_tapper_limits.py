@@ -8,7 +8,7 @@ from typing import cast
 import pytest
 
 from tapping_cell.hardware.faults import FaultReason, HardwareFault
-from tapping_cell.hardware.tapper import FireOutcome, TapperDriver
+from tapping_cell.hardware.tapper import LONGEST_CHARGE, FireOutcome, TapperDriver
 from tapping_cell.hardware.tapper_protocol import Command, Mode, Reply, Result, State
 from tapping_cell.hardware.transport import Transport
 from tapping_cell.simulation.fault_layer import FaultLayer
@@ -92,3 +92,21 @@ def test_a_tap_can_be_given_up_before_every_homing() -> None:
     assert reply.state is not State.CHARGED
     assert driver.commands.count(Command.HOME) == 2
     assert driver.commands[-1] is Command.DISCHARGE
+
+
+def test_a_charged_striker_waits_for_an_arm_that_is_late() -> None:
+    """The state machine discharges it after 3 s; charging may take up to ``charge_timeout``."""
+    clock = VirtualClock()
+    clock.limit = 60.0
+    transport = VirtualTransport(FaultLayer(TapperEmulator(now=clock.now)), clock, "tapper")
+    driver = TapperDriver(transport, draw_number=lambda below: below // 2)
+    driver.connect()
+    began = clock.now
+    assert driver.charge(1, 0.001).state is State.CHARGED
+    while clock.now < began + driver.settings.charge_timeout + 2.9:
+        assert driver.status().state is State.CHARGED
+        transport.sleep(0.1)
+    while clock.now < began + LONGEST_CHARGE + 0.5:
+        transport.sleep(0.1)
+        last = driver.status().state
+    assert last is State.SAFE

@@ -499,6 +499,30 @@ def test_an_arm_that_reconnects_while_its_node_is_inactive_accepts_no_goal() -> 
     assert arm.state is arms.State.IDLE
 
 
+def test_an_arm_whose_controller_is_silent_does_not_count_as_homed_when_it_is_activated() -> None:
+    arm = in_position().arm
+    arm.on_lifecycle(Deactivated(), at(START + 1.0))
+    (read,) = jobs(arm.on_tick(at(START + 2.0)))
+    arm.on_job(JobEnded(read, fault=HardwareFault(FaultReason.TIMEOUT, "")), at(START + 2.0))
+    arm.on_lifecycle(Activated(), at(START + 2.01))
+    assert arm.state is arms.State.NOT_HOMED
+
+
+def test_a_board_that_is_still_starting_is_given_the_longest_timeout() -> None:
+    arm = in_position().arm
+    (read,) = jobs(arm.on_tick(at(START + 2.0)))
+    arm.on_job(JobEnded(read, fault=HardwareFault(FaultReason.DISCONNECTED, "")), at(START + 2.0))
+    now, tried = START + 2.0, []
+    while arm.state is arms.State.DISCONNECTED:
+        now += 10.0
+        (connect,) = jobs(arm.on_tick(at(now)))
+        tried.append(arm.patience)
+        fault = HardwareFault(FaultReason.UNKNOWN_FIRMWARE, "nothing answers")
+        arm.on_job(JobEnded(connect, fault=fault), at(now))
+        assert arm.error[1] == "nothing answers"
+    assert arm.state is arms.State.FAULT and tried == [1.0, 2.0, 4.0, 6.0]
+
+
 @pytest.mark.parametrize("kind", [arms.ArmLogic, tappers.TapperLogic])
 def test_the_reason_for_a_failed_attempt_to_connect_remains(kind: type) -> None:
     """The node closes the port and then tries again."""
