@@ -153,8 +153,8 @@ class ArrangementTask(Task):
 
         If every object was seen, the monitor watches the present object after this call; otherwise
         it watches the first object that was not seen. An object that must not be moved and has not
-        been seen for longer than ``memory`` counts as removed until it is seen again. A hand may
-        hide it for a shorter time.
+        been seen for longer than ``memory``, although the arm did not hide it, counts as removed
+        until it is seen again. A hand may hide it for a shorter time.
         """
         found = {}
         for body in self.bodies:
@@ -162,7 +162,7 @@ class ArrangementTask(Task):
             if not monitor.usable(after, frames, now):
                 state = monitor.object
                 absent = state is not None and not state.visible and not body.movable
-                absent = absent and monitor.unseen_for(now) > self.memory
+                absent = absent and monitor.missing_for(now) > self.memory
                 if absent and monitor.observed_at(now) > after:
                     continue
                 return False

@@ -65,6 +65,10 @@ class CellMonitor:
         self._seen_at: dict[str, float] = {}
         """Time at which each object was last seen, s of the steady clock; the time of the first
         message about an object that was never seen."""
+        self._places: dict[str, Pose] = {}
+        """Pose at which each object of ``object_states`` was last seen."""
+        self._covered_at: dict[str, float] = {}
+        """Last time at which the arm may have hidden each object, s of the steady clock."""
         self._stops: dict[str, set[int]] = {}
         """Times (ns) of the stops that arm and tapper have reported; 0 for no stop. They are all
         kept, because an old message may arrive again."""
@@ -112,6 +116,17 @@ class CellMonitor:
         for state in message.objects:
             self._states[state.object_id] = state
             self._note_seen(state.object_id, state, now)
+            if state.visible:
+                self._places[state.object_id] = from_message(state.pose.pose)
+
+    def place(self, name: str) -> Pose | None:
+        """Return the pose at which an object of ``object_states`` was last seen; None if it was
+        never seen."""
+        return self._places.get(name)
+
+    def note_covered(self, name: str, now: Now) -> None:
+        """Store that the arm may hide an object of ``object_states`` now."""
+        self._covered_at[name] = now.steady
 
     def _note_seen(self, name: str, state: ObjectState, now: Now) -> None:
         if state.visible and not state.error_code:
@@ -178,6 +193,12 @@ class CellMonitor:
         if seen is not None and seen.visible and not seen.error_code:
             return 0.0
         return now.steady - self._seen_at.get(self._watched, -math.inf)
+
+    def missing_for(self, now: Now) -> float:
+        """Same as :meth:`unseen_for`, without the time until the arm last may have hidden the
+        object, s."""
+        covered = self._covered_at.get(self._watched, -math.inf)
+        return min(self.unseen_for(now), now.steady - covered)
 
     @property
     def pose(self) -> Pose | None:

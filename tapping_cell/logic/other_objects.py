@@ -30,13 +30,14 @@ class _Known:
     observed_at: float = -math.inf
     pose: Pose | None = None
     seen_at: float = -math.inf
+    """Time at which it was last seen, or the arm may have hidden it."""
 
 
 class OtherObjects:
     """Poses of the objects on the table besides the cell's own object.
 
-    An object that is no longer seen keeps its pose for a while, because a hand may hide it. After
-    that time, the object counts as removed.
+    An object that is no longer seen keeps its pose for a while, because a hand may hide it, and for
+    as long as the arm may hide it. After that time, the object counts as removed.
     """
 
     def __init__(self, files: Sequence[ObjectFile], memory: float, moved: float) -> None:
@@ -55,14 +56,24 @@ class OtherObjects:
         """Object files of these objects."""
         return self._files
 
-    def on_object(self, message: ObjectState, clock: PeerClock, now: Now) -> None:
-        """Process an observation of one object; ``clock``: clock of the camera's computer."""
+    def place(self, name: str) -> Pose | None:
+        """Return the last pose of an object; None if it was never seen."""
+        known = self._known.get(name)
+        return None if known is None else known.pose
+
+    def on_object(
+        self, message: ObjectState, clock: PeerClock, now: Now, covered: bool = False
+    ) -> None:
+        """Process an observation of one object; ``clock``: clock of the camera's computer.
+        ``covered``: the arm may hide the object's last pose."""
         shape = next((file.shape for file in self._files if file.name == message.object_id), None)
         if shape is None:
             return
         known = self._known.setdefault(message.object_id, _Known())
         known.observed_at = clock.to_steady(message.header.stamp, now)
         if not message.visible:
+            if covered:
+                known.seen_at = now.steady
             return
         pose, radius = from_message(message.pose.pose), shape.reach()
         if not (_on_table(pose.x, pose.y) and math.isfinite(pose.theta)):

@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 from enum import Enum
 
 from tapping_cell.logic import tap_commands
+from tapping_cell.logic.arm_in_view import may_hide
 from tapping_cell.logic.arrangement import ArrangementTask
 from tapping_cell.logic.cell_monitor import CellMonitor, CodedError
 from tapping_cell.logic.clock import NANOSECONDS, Now, to_stamp
@@ -262,6 +263,8 @@ class PlannerLogic:
         self._parking_until = -math.inf
         self._reported_at = -math.inf
         self._resumed: Request | None = None
+        self._lens: tuple[float, float, float] | None = None
+        """Position of the camera's lens in ``table``, m."""
         """Goal of a planner that crashed, until it is resumed."""
         self._resume_until = -math.inf
         self._is_resumed = False
@@ -329,10 +332,19 @@ class PlannerLogic:
             if self._configured:
                 clock = self._monitor.camera_clock
                 self.goals.other_objects.on_objects(message, clock, now)
+                for state in message.objects:
+                    name = state.object_id
+                    if not state.visible and self._may_be_covered(name, self._monitor.place(name)):
+                        self._monitor.note_covered(name, now)
         elif topic == "other_objects":
             if self._configured:
                 clock = self._monitor.camera_clock
-                self.goals.other_objects.on_object(message, clock, now)
+                others, name = self.goals.other_objects, message.object_id
+                covered = not message.visible and self._may_be_covered(name, others.place(name))
+                others.on_object(message, clock, now, covered)
+        elif topic == "camera/pose":
+            place = message.pose.position
+            self._lens = (place.x, place.y, place.z)
         elif topic == "arm_state":
             stop = self._monitor.on_arm(message, now)
             self._note_position()
@@ -1171,6 +1183,23 @@ class PlannerLogic:
         command.header.stamp = to_stamp(now.ros)
         command.header.frame_id = "table"
         self._effects.append(Publish("tap_command", command))
+
+    def _may_be_covered(self, name: str, pose: Pose | None) -> bool:
+        """Return whether the arm may hide an object of the cell that was last seen at a pose."""
+        tip, lens = self._monitor.tip, self._lens
+        if not self._has_arm or pose is None or tip is None or lens is None:
+            return False
+        if not all(map(math.isfinite, (*tip, *lens, *pose))):
+            return False
+        cell = self.goals.cell
+        found = next(
+            (one for one in (cell.object, *self.goals.other_objects.files) if one.name == name),
+            None,
+        )
+        if found is None:
+            return False
+        place = (pose.x, pose.y, found.height)
+        return may_hide(cell, lens, tip, place, found.shape.reach())
 
     def _hidden_by_arm(self, now: Now) -> bool:
         """Return whether the arm probably hides the object, because the object was not seen for

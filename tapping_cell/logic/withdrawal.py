@@ -27,12 +27,10 @@ from tapping_cell.hardware.motion import (
     withdraw_path,
 )
 from tapping_cell.hardware.scara import Joints, ScaraGeometry
-from tapping_cell.logic.arm_in_view import bars_in_table
+from tapping_cell.logic.arm_in_view import VIEW_MARGIN_M, bars_in_table
 from tapping_cell.se2 import Array, Pose
 from tapping_cell.vision.free_view import view_clearance
 
-VIEW_MARGIN_M = 0.008
-"""Margin around the object and the markers, for errors of arm, camera and shapes."""
 OVERSHOOT = 1.3
 """Assumed maximum displacement of the object, as a multiple of the predicted displacement."""
 PLACES = 6

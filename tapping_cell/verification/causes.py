@@ -57,7 +57,7 @@ LASTING_S = {
     "other object moved": 2.0,
     "other object turned": 2.0,
     "other object hidden": 4.0,
-    "other object removed": 12.0,
+    "other object removed": 60.0,
     "late object states": 8.0,
     "emergency stop": 5.0,
     "guard": 4.0,

@@ -19,6 +19,7 @@ from tapping_cell.messages import (
     ObjectState,
     PlanState,
     PositionObject,
+    StopState,
     TapCommand,
     TapperState,
     Time,
@@ -62,6 +63,8 @@ planner commands the tap."""
 BUMP_M = 0.004
 BUMP_RAD = math.radians(6.0)
 """Displacements of the object (m and rad) beyond which a planned tap must not be fired."""
+REPORTED_S = 0.5
+"""Maximum time from when a device has latched a stop until it reports that it is stopped, s."""
 CHARGED_LIMIT_S = 12.0
 """Maximum time that a striker may stay charged, regardless of any failure of the computers."""
 CHECK_S = 0.045
@@ -318,6 +321,8 @@ class InvariantChecker:
     the arm or the tapper was stopped during the goal of the planner that crashed."""
     _stopped: set[str] = field(default_factory=set)
     """Those of arm and tapper that were stopped during the present goal."""
+    _latched: dict[str, float] = field(default_factory=dict)
+    """Time at which each device last published that it keeps a stop; inf if it keeps none."""
     _image: float = -math.inf
     """Exposure of the image of the object that the planner's process received last; -inf if this
     image does not show the object."""
@@ -373,6 +378,8 @@ class InvariantChecker:
             self._note_stop(node, message, message.state == ArmState.STOPPED)
             if message.state == ArmState.IDLE or message.error_code == ErrorCode.NOT_ACTIVE:
                 self._asked_to_move = False
+        elif isinstance(message, StopState):
+            self._latched[node] = self.scheduler.now if message.stopped else math.inf
         elif isinstance(message, PlanState) and node == "tap_planner":
             self._on_plan_state(message)
             if self.confirmation is not None:
@@ -973,6 +980,15 @@ class InvariantChecker:
 
     def _note_stop(self, node: str, message: ArmState | TapperState, stopped: bool) -> None:
         """Process a state of arm or tapper with respect to stops."""
+        latched_for = self.scheduler.now - self._latched.get(node, math.inf)
+        is_away = message.state in (ArmState.DISCONNECTED, TapperState.DISCONNECTED)
+        if latched_for > REPORTED_S and not stopped and not is_away:
+            self.violate(
+                "stop not reported",
+                f"{node} reports state {message.state}, although it has kept a stop for"
+                f" {latched_for:.1f} s",
+            )
+            self._latched[node] = math.inf
         if stopped:
             self._stopped.add(node)
         if node in self._stopped:

@@ -18,7 +18,7 @@ from tapping_cell.verification.table_invariants import TableInvariantChecker
 
 GAP_M = 0.01
 """Minimum gap between an object that a hand moves and the others, m."""
-HIDDEN_S, REMOVED_S = (0.1, 4.0), (0.5, 12.0)
+HIDDEN_S, REMOVED_S = (0.1, 4.0), (0.5, 60.0)
 """Ranges of the time for which another object is hidden, or taken off the table, s. After 5 s
 without observation, the planner assumes that an object was removed."""
 LINKS = (

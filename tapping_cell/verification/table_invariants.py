@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 
+from tapping_cell.logic.arm_in_view import may_hide
 from tapping_cell.logic.clock import to_nanoseconds
 from tapping_cell.logic.poses import from_message
 from tapping_cell.messages import (
@@ -73,6 +74,9 @@ class Told:
     ``BUMP_M``."""
     received: float = -math.inf
     """Time at which the planner's process last received that it was seen."""
+    covered: float = -math.inf
+    """Time at which the planner's process last received that it was not seen, while the arm may
+    have hidden it. The planner may still remember it then."""
     pose: Pose | None = None
     newest: Pose | None = None
     """Pose received last; ``pose`` differs from it by less than ``BUMP_M``."""
@@ -168,6 +172,8 @@ class TableInvariantChecker(InvariantChecker):
         told.exposed = max(told.exposed, exposed)
         told.at_rest, told.visible = state.at_rest, state.visible
         if not state.visible:
+            if told.newest is not None and self._may_be_covered(told.newest):
+                told.covered = self.scheduler.now
             return
         told.seen, told.received = max(told.seen, exposed), self.scheduler.now
         pose = told.newest = from_message(state.pose.pose)
@@ -175,6 +181,18 @@ class TableInvariantChecker(InvariantChecker):
             told.pose, told.since = pose, self.scheduler.now
         if not state.error_code:
             self._check_others_of_tap(topic, state.object_id, pose)
+
+    def _may_be_covered(self, pose: Pose) -> bool:
+        """Return whether the arm may hide an object at a pose from the camera."""
+        physical, shape = self.physical, self.physical.cell.object
+        tip, height = physical.tip(self.scheduler.now)
+        return may_hide(
+            physical.cell,
+            physical.truth.camera.position,
+            (tip.x, tip.y, height, tip.theta),
+            (pose.x, pose.y, shape.height),
+            shape.shape.reach(),
+        )
 
     def _sources(self) -> tuple[str, ...]:
         """Return the topics by which the planner observes the objects of its present goal: first
@@ -288,7 +306,8 @@ class TableInvariantChecker(InvariantChecker):
                     " the last tap or the beginning of the goal, and last saw it only"
                     f" {unseen:.2f} s ago",
                 )
-            if now - told.received > MEMORY_S + MEMORY_SLACK_S and not told.visible:
+            gone = now - max(told.received, told.covered)
+            if gone > MEMORY_S + MEMORY_SLACK_S and not told.visible:
                 self._planned_without.setdefault(tap_id, set()).add(name)
             if told.newest is None or unseen > MEMORY_S - MEMORY_SLACK_S:
                 continue

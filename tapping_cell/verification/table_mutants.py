@@ -30,7 +30,7 @@ TABLE_MUTANTS: tuple[Mutant, ...] = (
     Mutant(
         "ignores a hidden object at once",
         ARRANGEMENT,
-        "                absent = absent and monitor.unseen_for(now) > self.memory\n",
+        "                absent = absent and monitor.missing_for(now) > self.memory\n",
         "",
         kinds=("other object hidden",),
         several=True,

@@ -123,6 +123,7 @@ SUBSCRIPTIONS = {
         "object_state",
         "object_states",
         "other_objects",
+        "camera/pose",
         "arm_state",
         "tapper_state",
         "emergency_stop",

@@ -24,15 +24,11 @@ import pytest
 import rclpy
 from geometry_msgs.msg import PoseStamped
 from harness import TIMEOUT_S, Bench, bench
-from rclpy.action import ActionClient
 from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
-from rclpy.task import Future
-from tapping_cell_msgs.action import PositionObject
 from tapping_cell_msgs.msg import (
     ArmState,
-    ErrorCode,
     GoalReport,
     ObjectState,
     PlanState,
@@ -304,34 +300,6 @@ def test_an_orderly_shutdown_during_a_goal_ends_the_goal(
             output, _ = planner.communicate(timeout=TIMEOUT_S)
         assert {plan.state for plan in actors.plans[before:]} == {PlanState.IDLE}, output
         assert "resuming" not in output
-
-
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT], ids=["SIGTERM", "SIGINT"])
-def test_an_orderly_shutdown_sends_the_result_of_an_action_goal(
-    number: signal.Signals, tmp_path: Path
-) -> None:
-    with bench(lambda: [], {}) as b:
-        actors = Actors(b)
-        actors.arm_arrives = False
-        client = ActionClient(b.probe, PositionObject, "position_object")
-        ended: list[PositionObject.Result] = []
-
-        def accepted(future: Future) -> None:
-            result = future.result().get_result_async()
-            result.add_done_callback(lambda done: ended.append(done.result().result))
-
-        with planner_process(tmp_path) as planner:
-            b.wait(client.server_is_ready, "the action server")
-            goal = PositionObject.Goal()
-            goal.goal_pose.header.frame_id, goal.goal_pose.pose = "table", to_message(GOAL)
-            client.send_goal_async(goal).add_done_callback(accepted)
-            b.wait(actors.taps, "a tap")
-            planner.send_signal(number)
-            output, _ = planner.communicate(timeout=TIMEOUT_S)
-            b.wait(lambda: ended, "the result of the goal", 5.0)
-        assert (planner.returncode, "Traceback" in output) == (0, False), output
-        assert ended[0].error_code == ErrorCode.NOT_ACTIVE, ended
-        client.destroy()
 
 
 def test_an_effect_that_fails_does_not_drop_the_effects_after_it(

@@ -93,6 +93,7 @@ class TapPlanner(LogicNode[Parameters]):
         host.subscribes(messages.ObjectState, "object_state", LATCHED)
         host.subscribes(messages.ObjectStates, "object_states", LATCHED)
         host.subscribes(messages.ObjectState, "other_objects", 10)
+        host.subscribes(messages.PoseStamped, "camera/pose", LATCHED)
         host.subscribes(messages.ArmState, "arm_state", LATCHED)
         host.subscribes(messages.TapperState, "tapper_state", LATCHED)
         host.serves(messages.ConfirmTap, "confirm_tap")

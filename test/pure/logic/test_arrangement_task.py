@@ -4,6 +4,7 @@ devices. This file also tests the tapper's checks of the object that is tapped."
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from typing import Any
@@ -40,12 +41,14 @@ from tapping_cell.messages import (
     ObjectState,
     ObjectStates,
     PlanState,
+    Point,
     Polygon,
     PoseStamped,
     PositionObject,
     TapCommand,
     TapperState,
 )
+from tapping_cell.messages import Pose as PoseMessage
 from tapping_cell.planning.arrangement import ArrangementSession
 from tapping_cell.se2 import Pose
 from tapping_cell.verification import host
@@ -99,6 +102,9 @@ class Table(VirtualNode):
         self.arm_state = ArmState.IDLE
         self.on_tap = lambda: None
         self.on_withdrawal = lambda: None
+        self.on_clear_view: Callable[[], None] = lambda: None
+        self.cleared = 0
+        self.tip = PoseMessage()
         self.results: list[ArrangeObjects.Result] = []
         self.reports: list[ArrangementState] = []
 
@@ -122,6 +128,9 @@ class Table(VirtualNode):
         self.run(0.3)
 
     def _on_command(self, command: TapCommand) -> None:
+        if command.request == TapCommand.CLEAR_VIEW:
+            self.cleared += 1
+            self.on_clear_view()
         if command.request != TapCommand.TAP:
             self.arm_state = ArmState.IDLE
             self.withdrawals.append(command.tap_id)
@@ -156,7 +165,11 @@ class Table(VirtualNode):
         idle = self.arm_state == ArmState.IDLE
         tap_id = self.tap.tap_id if self.tap is not None else 0
         arm = ArmState(
-            state=self.arm_state, tap_id=0 if idle else tap_id, homed=True, clear_of_camera=idle
+            state=self.arm_state,
+            tap_id=0 if idle else tap_id,
+            homed=True,
+            clear_of_camera=idle,
+            tip_pose=self.tip,
         )
         arm.header.stamp = stamp
         self.publish("arm_state", arm)
@@ -530,6 +543,29 @@ def test_a_missing_object_without_a_goal_is_ignored(cell: Table) -> None:
     cell.hidden = {third}
     cell.run(handling().other_objects.memory + 1.0)
     cell.send({one: moved(cell.poses[one], 0.02, 0.0)})
+    assert cell.end().error_code == ErrorCode.NONE
+
+
+def over(cell: Table, pose: Pose) -> None:
+    """Let the camera's lens be above the table, and place the arm's tip over a pose."""
+    lens = PoseMessage(position=Point(x=0.0, y=0.0, z=0.7))
+    cell.publish("camera/pose", PoseStamped(pose=lens))
+    cell.tip = to_message(pose, 0.05)
+
+
+def test_an_object_under_the_arm_does_not_count_as_removed(cell: Table) -> None:
+    """The arm moves aside first, and the object is then in the way of the tap."""
+    one, _, third = cell.names
+    over(cell, cell.poses[third])
+    cell.run(0.3)
+    cell.hidden = {third}
+    cell.run(handling().other_objects.memory + 3.0)
+    cell.on_clear_view = lambda: over(cell, Pose(-0.2, 0.15, 0.0))
+    cell.send({one: moved(cell.poses[one], 0.02, 0.0)})
+    cell.run(FAST.observe_deadline)
+    assert not cell.taps
+    cell.wait(lambda: cell.cleared, "the arm is asked to move aside")
+    cell.hidden = set()
     assert cell.end().error_code == ErrorCode.NONE
 
 

@@ -179,3 +179,15 @@ def test_no_tap_is_commanded_before_the_first_search() -> None:
     assert actors.plans[-1].state == PlanState.LOOKING and not actors.taps()
     actors.searching = True
     assert actors.ended().state == PlanState.REACHED
+
+
+def test_an_obstacle_under_the_arm_is_remembered_until_the_arm_has_left() -> None:
+    file = load_cell().object
+    others, clock = OtherObjects((file,), 5.0, 0.002), PeerClock()
+    seen = ObjectState(object_id=file.name, visible=True)
+    seen.pose.pose = to_message(Pose(0.1, 0.0, 0.0))
+    others.on_object(seen, clock, Now(10.0, 10_000_000_000))
+    for time in range(11, 40):
+        hidden, now = ObjectState(object_id=file.name), Now(float(time), time * 1_000_000_000)
+        others.on_object(hidden, clock, now, covered=time < 30)
+        assert (others.areas(now) == (None,)) == (time > 34)

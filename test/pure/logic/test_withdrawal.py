@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from tapping_cell.configuration.cell import load_cell
 from tapping_cell.hardware.motion import path_duration, withdraw_path
 from tapping_cell.hardware.scara import Joints
+from tapping_cell.logic.arm_in_view import may_hide
 from tapping_cell.logic.withdrawal import MARKERS_HIDDEN, Scene, withdrawal
 from tapping_cell.se2 import Pose
 from tapping_cell.simulation.arm_picture import arm_solids
@@ -77,6 +78,30 @@ def test_object_and_markers_are_unobstructed_after_every_withdrawal(
     markers = np.array([[marker.x, marker.y, 0.0] for marker in CELL.references.markers])
     assert hidden(end, markers, 0.02).sum() <= MARKERS_HIDDEN
     assert GEOMETRY.forward(end).z > MOTION.travel_height - 1e-6
+
+
+@given(
+    st.tuples(*(st.floats(low, high) for low, high in zip(ARM.lower, ARM.upper, strict=True))),
+    st.floats(-0.2, 0.2),
+    st.floats(-0.12, 0.12),
+)
+def test_every_object_that_the_arm_hides_is_known_to_be_possibly_hidden(
+    joints: tuple[float, float, float, float], x: float, y: float
+) -> None:
+    tip, place = GEOMETRY.forward(joints), (x, y, CELL.object.height)
+    room = CELL.object.body().bounding_radius
+    assume(GEOMETRY.inverse((tip.x, tip.y, tip.z, tip.yaw)).success)
+    planar = CELL.arm_base @ Pose(tip.x, tip.y, tip.yaw)
+    seen = may_hide(CELL, LENS, (planar.x, planar.y, tip.z, planar.theta), place, room)
+    assert seen or not hidden(Joints(*joints), np.array([place]), room).any()
+
+
+def test_an_arm_far_from_an_object_does_not_hide_it() -> None:
+    park = GEOMETRY.forward(ARM.park)
+    planar = CELL.arm_base @ Pose(park.x, park.y, park.yaw)
+    tip = planar.x, planar.y, park.z, planar.theta
+    room = CELL.object.body().bounding_radius
+    assert not may_hide(CELL, LENS, tip, (0.0, 0.0, CELL.object.height), room)
 
 
 def test_withdrawals_are_short() -> None:
