@@ -69,8 +69,9 @@ CONNECTION_CHECK_S = 5.0
 """Period at which the topics are checked for endpoints that cannot connect."""
 SIGNAL_S = 0.2
 """Maximum time for which a waiting node does not notice a signal, s."""
-LAST_RESULTS_S = 0.3
-"""Time for which a node that shuts down sends the results of its actions, s."""
+LAST_RESULTS_S = 1.0
+"""Time for which a node that shuts down sends the results of its actions, s. A result is sent in
+the third round of the executor, and each round handles all messages that have arrived."""
 ROLE = "role"
 """Key of a node's role in /diagnostics."""
 PROFILE_VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import signal
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -47,6 +49,36 @@ class Defective(CellNode[Settings]):
         self.changed.append((name, value))
 
 
+class Answering(CellNode[Settings]):
+    """Node that is ended by a signal, and whose last result is sent by a task of the executor."""
+
+    sent: list[str]
+
+    def __init__(self) -> None:
+        super().__init__("answering", Settings)
+        self.create_timer(0.2, self._end)
+
+    def _end(self) -> None:
+        if self.active:
+            os.kill(os.getpid(), signal.SIGTERM)
+
+    def cleanup(self) -> None:
+        if self.executor is not None and self.active:
+            self.executor.create_task(lambda: self.sent.append("result"))
+
+    def has_unsent_results(self) -> bool:
+        return not self.sent
+
+
+@pytest.fixture(autouse=True)
+def handlers() -> Iterator[None]:
+    """Restore the handlers of the signals that a node ignores when it ends."""
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
 @pytest.fixture
 def node(monkeypatch: pytest.MonkeyPatch) -> Iterator[Defective]:
     monkeypatch.setattr(Defective, "transition", "")
@@ -76,3 +108,11 @@ def test_nothing_is_applied_if_one_of_several_parameters_is_refused(node: Defect
     known = Parameter("method", value="b")
     assert node.set_parameters_atomically([ask, known]).successful
     assert node.changed == [("method", "b"), ("ask", False)]
+
+
+def test_a_node_that_is_ended_by_a_signal_sends_its_last_results(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(Answering, "sent", [], raising=False)
+    assert run(Answering, []) == 0
+    assert Answering.sent == ["result"]

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import io
 import os
-import signal
 import subprocess
 import sys
 import time
@@ -110,23 +109,6 @@ def test_a_planner_killed_during_a_goal_ends_the_wait() -> None:
     # may wait for the cell.
     assert took < RETURN_S + SILENCE_S + 30.0
     assert "waiting for it to return" in words.getvalue()
-
-
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT], ids=["SIGTERM", "SIGINT"])
-def test_a_planner_that_is_shut_down_sends_the_result(
-    number: signal.Signals, tmp_path: Path
-) -> None:
-    with bench(lambda: [], {}) as b:
-        actors = Actors(b)
-        actors.arm_arrives = False
-        with planner_process(tmp_path) as planner, client_of_a_cell() as client:
-            session.send(client, GOAL, (0.0, 0.0), Console(quiet=True))
-            b.wait(actors.taps, "a tap")
-            planner.send_signal(number)
-            finished = session.follow(client, lambda: None, Console(quiet=True))
-            output, _ = planner.communicate(timeout=TIMEOUT_S)
-    assert (planner.returncode, "Traceback" in output) == (0, False), output
-    assert finished.error_code == ErrorCode.NOT_ACTIVE, finished.error_msg
 
 
 def test_a_planner_killed_during_an_arrangement_ends_the_wait(
