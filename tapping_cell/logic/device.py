@@ -337,6 +337,7 @@ class DeviceLogic(ABC, Generic[State, Event]):
         self._effects = [e for e in self._effects if isinstance(e, Answer | AbandonJob)]
         self._effects.append(StopWire())
         self._latch_lost_stop(lost)
+        self._stops.forget_refusal()
         self._keep_stops(now)  # the handler may have latched or reset a stop
         self._defect(error, now)
         for job in unstarted:

@@ -131,6 +131,11 @@ class StopLatch:
         self._confirm_until = -math.inf
         return ""
 
+    def forget_refusal(self) -> None:
+        """Cancel the refusal that the next reset would confirm, because it may not have been
+        reported."""
+        self._confirm_until = -math.inf
+
     def _doubt(self, levels: StopLevels) -> str:
         """Return why the publishers' levels do not show that the stop is released, or ""."""
         if levels.silent:

@@ -1140,7 +1140,8 @@ class InvariantChecker:
     def _on_tapper_state(self, message: TapperState) -> None:
         self._report = message
         self._note_stop("tapper_trigger", message, message.state == TapperState.STOPPED)
-        waited_for = self._tapping_received > self._first_taken.get(message.tap_id, -math.inf)
+        # A node that was frozen handles the command and the state at the same time.
+        waited_for = self._tapping_received >= self._first_taken.get(message.tap_id, -math.inf)
         if GAVE_UP in message.error_msg and not waited_for:
             self.violate(
                 "false reason",

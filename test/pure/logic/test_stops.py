@@ -163,3 +163,15 @@ def test_a_repeated_emergency_stop_is_sent_to_the_tapper_again_but_not_at_every_
     assert all(later - earlier >= STOP_AGAIN_S for earlier, later in itertools.pairwise(sent))
     effects = device.on_message("emergency_stop", Bool(data=False), Now(20.0, 0))
     assert not any(isinstance(effect, StopWire) for effect in effects)
+
+
+def test_a_refusal_that_was_not_answered_is_confirmed_by_no_request() -> None:
+    """An internal error in the handler that refuses: the operator has not read the refusal."""
+    tapper, gone = TapperLogic(TapperOptions()), StopLevels(False, (), ("a",))
+    latch = tapper._stops
+    latch.receive(True)
+    now = Now(10.0, 10_000_000_000)
+    assert "(a)" in latch.try_reset(latch.begin_reset(now), gone, now)
+    tapper.on_defect(ZeroDivisionError(), now)
+    assert "(a)" in reset(latch, gone, 11.0)
+    assert latch.stopped
