@@ -2,8 +2,11 @@
 computer."""
 
 import os
+import signal
+from collections.abc import Iterator
 from pathlib import Path
 
+import pytest
 from hypothesis import HealthCheck, settings
 
 from tapping_cell.cli.graph import own_domain
@@ -22,3 +25,13 @@ os.environ.pop("ROS_STATIC_PEERS", None)
 os.environ["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(
     Path(__file__).resolve().parent.parent / "config" / "fastdds_profile.xml"
 )
+
+
+@pytest.fixture
+def own_signals() -> Iterator[None]:
+    """Restore the signal handlers, because a verb or node that runs in this process replaces
+    them."""
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)

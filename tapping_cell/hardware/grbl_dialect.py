@@ -399,7 +399,7 @@ class GrblDialect(LineDialect[grbl.Frame]):
         self._transport.write(line)
         frames: list[grbl.Frame] = []
         while (frame := self._await(deadline)) is not None:
-            if isinstance(frame, grbl.Ok) or frame == grbl.Error(accepted or 0):
+            if isinstance(frame, grbl.Ok) or _has_code(frame, accepted):
                 self._unanswered = False
                 return frames
             if isinstance(frame, grbl.Error):
@@ -875,6 +875,10 @@ class GrblDialect(LineDialect[grbl.Frame]):
             f"alarm{number} of the arm's controller: {meaning}: make the cell safe, clear the fault"
             " and home again",
         )
+
+
+def _has_code(frame: grbl.Frame, code: int | None) -> bool:
+    return isinstance(frame, grbl.Error) and frame.code == code
 
 
 def _moving(status: grbl.Status) -> bool:

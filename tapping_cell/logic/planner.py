@@ -262,9 +262,9 @@ class PlannerLogic:
         self._view_cleared = False
         self._parking_until = -math.inf
         self._reported_at = -math.inf
-        self._resumed: Request | None = None
         self._lens: tuple[float, float, float] | None = None
         """Position of the camera's lens in ``table``, m."""
+        self._resumed: Request | None = None
         """Goal of a planner that crashed, until it is resumed."""
         self._resume_until = -math.inf
         self._is_resumed = False

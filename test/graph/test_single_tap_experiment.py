@@ -9,7 +9,6 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -88,16 +87,6 @@ def test_an_experiment_is_stopped_resumed_and_read_back(tmp_path: Path) -> None:
         taps |= {m.tap_id for _, m in bag.of("tap_command") if m.request == 0}
         assert sum(1 for _ in bag.of("object_pose")) > 50 or session.name == "session_02"
     assert len(taps) >= 2
-
-
-@pytest.fixture
-def own_signals() -> Iterator[None]:
-    """Restore the signal handlers, because a verb that runs in this process replaces the handler of
-    Ctrl-C."""
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-    yield
-    for number, handler in before.items():
-        signal.signal(number, handler)
 
 
 @pytest.mark.parametrize(

@@ -14,6 +14,8 @@ from rclpy.parameter import Parameter
 from tapping_cell.configuration.schema import text
 from tapping_cell.nodes.cell_node import CellNode, run
 
+pytestmark = pytest.mark.usefixtures("own_signals")
+
 
 @dataclass(frozen=True, slots=True)
 class Settings:
@@ -68,15 +70,6 @@ class Answering(CellNode[Settings]):
 
     def has_unsent_results(self) -> bool:
         return not self.sent
-
-
-@pytest.fixture(autouse=True)
-def handlers() -> Iterator[None]:
-    """Restore the handlers of the signals that a node ignores when it ends."""
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-    yield
-    for number, handler in before.items():
-        signal.signal(number, handler)
 
 
 @pytest.fixture

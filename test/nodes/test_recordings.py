@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import math
-import signal
 import threading
 from collections import Counter
 from collections.abc import Iterator
@@ -34,6 +33,8 @@ from tapping_cell.nodes.cell_node import COMMAND, LATCHED
 from tapping_cell.nodes.clients.single_tap_client import SingleTapClient
 from tapping_cell.nodes.conversions import to_message
 from tapping_cell.se2 import Pose
+
+pytestmark = pytest.mark.usefixtures("own_signals")
 
 CELL = load_cell()
 QUIET = Console(quiet=True)
@@ -99,15 +100,6 @@ class HeldMarker:
             self._arm.publish(arm)
             self._joints.publish(here)
             self._object.publish(seen)
-
-
-@pytest.fixture(autouse=True)
-def own_signals() -> Iterator[None]:
-    """Restore the signal handlers, because a verb that runs in this process replaces them."""
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-    yield
-    for number, handler in before.items():
-        signal.signal(number, handler)
 
 
 @pytest.fixture

@@ -119,7 +119,7 @@ class UnknownSearch:
     def _is_arm_known(self) -> bool:
         """Whether the arm's position is known. Otherwise, the arm would be taken for an unknown
         object."""
-        return self._arm() is not None or not self._is_scara
+        return not self._is_scara or all(name in self._joints for name in self._names)
 
     def _on_arm(self, message: ArmState) -> None:
         self._clear = message.clear_of_camera and message.state == ArmState.IDLE
@@ -134,7 +134,7 @@ class UnknownSearch:
     def _arm(self) -> ArmBars | None:
         """Return the bars that model the arm's links, in ``table``, or None if the arm's joint
         positions are not known or the arm's shape is not known."""
-        if not self._is_scara or any(name not in self._joints for name in self._names):
+        if not self._is_scara or not self._is_arm_known:
             return None
         joints = [[self._joints[name] for name in self._names]]
         bars = bars_in_table(self._cell, self._cell.arm.geometry(), joints)
