@@ -30,7 +30,7 @@ from tapping_cell.messages import (
     PositionObject,
     SingleTap,
 )
-from tapping_cell.planning import Decision, Done, Gains, KeepOut, Refusal
+from tapping_cell.planning import Decision, Done, Gains, KeepOut, Refusal, Strike
 from tapping_cell.planning.arrangement import (
     AllDone,
     ArrangementDecision,
@@ -287,6 +287,11 @@ class ArrangementTask(Task):
         assert self.arrangement is not None and self._tap is not None
         after = Observation(pose, covariance)
         self.arrangement.observe(self._tap, Observation(shot.before), after)
+
+    def skip(self, strike: Strike) -> None:
+        """See :class:`Task`."""
+        assert self.arrangement is not None and self._tap is not None
+        self.arrangement.skip(self._tap)
 
     def learnt(self) -> dict[str, Gains]:
         """Return the learnt corrections of the model for every object that was tapped."""

@@ -76,7 +76,10 @@ class CellMonitor:
     @property
     def object(self) -> ObjectState | None:
         """Last received state of the watched object; None if no state was received."""
-        return self._states.get(self._watched) if self._watched else self._own
+        return self._state_of(self._watched)
+
+    def _state_of(self, name: str) -> ObjectState | None:
+        return self._states.get(name) if name else self._own
 
     def watch(self, name: str) -> None:
         """Select the object for all following queries by its name in ``object_states``. An empty
@@ -203,7 +206,12 @@ class CellMonitor:
     @property
     def pose(self) -> Pose | None:
         """Present pose of the object; None while it is not seen."""
-        seen = self.object
+        return self.pose_of(self._watched)
+
+    def pose_of(self, name: str) -> Pose | None:
+        """Return the present pose of an object, which need not be watched; None while it is not
+        seen. ``name``: see :meth:`watch`."""
+        seen = self._state_of(name)
         return from_message(seen.pose.pose) if seen is not None and seen.visible else None
 
     def usable(self, after: float, frames: int, now: Now) -> bool:

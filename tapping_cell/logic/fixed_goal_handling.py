@@ -71,7 +71,7 @@ class FixedGoalHandling(GoalHandling):
         return self._space.area.outline()
 
     def learn(self, task: Task) -> None:
-        """Keep what was learnt from a goal's taps: the corrections of the object's model and the
+        """Use what was learnt from a goal's taps: the corrections of the object's model and the
         estimated errors of the mounts."""
         super().learn(task)
         if isinstance(task.session, FixedTapperSession):

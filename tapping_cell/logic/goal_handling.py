@@ -279,15 +279,25 @@ class GoalHandling:
         }
 
     def learn(self, task: Task) -> None:
-        """Keep the corrections of the model that were learnt from a goal's taps, for the following
-        goals."""
-        own = self.cell.object.name
-        learnt = task.learnt() if isinstance(task, ArrangementTask) else {own: task.session.gains}
-        self._known |= learnt
-        self._gains = self._known[own]
+        """Use the corrections of the model that were learnt from a goal's taps, also before the
+        goal has ended, for the goals that are accepted from now on."""
+        self._known |= self._learnt_in(task)
+        self._gains = self._known[self.cell.object.name]
+
+    def keep_learnt(self, task: Task) -> None:
+        """Store the corrections that were learnt in a goal for later runs, if the cell keeps them.
+
+        Raises:
+            OSError: a file cannot be written.
+        """
         if self._keep_for and task.records:
-            for name, gains in learnt.items():
+            for name, gains in self._learnt_in(task).items():
                 keep_gains(name, self._keep_for, gains)
+
+    def _learnt_in(self, task: Task) -> dict[str, Gains]:
+        if isinstance(task, ArrangementTask):
+            return task.learnt()
+        return {self.cell.object.name: task.session.gains}
 
     # Acceptance of requests. These methods do not change the tasks that they have returned before.
     # They raise PlanningError if a setting of a request is invalid for planning.
@@ -337,6 +347,7 @@ class GoalHandling:
             request.token,
             expires,
             ask=request.ask,
+            probe=request.probe,
         )
 
     def _accept_among_others(self, request: Request, now: Now) -> Task | Refused:

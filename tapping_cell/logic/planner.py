@@ -249,6 +249,9 @@ class PlannerLogic:
         self._confirmed: Confirmation | None = None
         self._answer_by = 0
         self._ask = settings.ask
+        self._ask_resumed = False
+        """Whether the planner that crashed was to ask before every tap. This applies to the resumed
+        goal until somebody changes ``ask``."""
         self._deadline = math.inf
         self._computation = 0
         self._observe_after = -math.inf
@@ -500,6 +503,9 @@ class PlannerLogic:
         """Return the task for a request, or why the request is refused. If the check of the request
         raises, only this request ends, because the check changes nothing of the goal under way."""
         try:
+            if self._task is not None:
+                # The new task begins with what the goal under way has learnt so far.
+                self.goals.learn(self._task)
             return accept()
         except PlanningError as error:
             return Refused(ErrorCode.COMMAND_INVALID, str(error))
@@ -541,12 +547,13 @@ class PlannerLogic:
         result = _failure(PositionObject.Goal, code, sentence)
         self._effects.append(Answer(request.token, result))
 
-    def _begin(self, task: Task, now: Now) -> None:
+    def _begin(self, task: Task, now: Now, resumed: bool = False) -> None:
         if self._task is not None:
             self._end_tap(now)
             self._finish(S.CANCELED, ErrorCode.GOAL_REPLACED, "a newer goal replaced this one", now)
         self._resumed = None  # a goal that arrives before the resumption is newer
-        self._is_resumed = False
+        self._is_resumed = resumed
+        self._ask_resumed = self._ask_resumed and resumed
         self._view_cleared = False
         self._struck_at = math.inf
         self._monitor.watch(task.watched)
@@ -583,7 +590,9 @@ class PlannerLogic:
                 "taps": task.taps + (self._shot is not None),
                 "time_left": task.expires - now.steady,
                 "kept_at": now.steady,
-                "ask": self._asks(task),
+                "ask": task.ask,
+                "ask_always": self._ask or self._ask_resumed,
+                "probe": task.probe,
                 "object_id": task.object_id,
                 "stops": self._monitor.known_stops(),
             }
@@ -591,12 +600,12 @@ class PlannerLogic:
 
     def _asks(self, task: Task | None) -> bool:
         """Return whether a person confirms the taps of ``task`` (None: of the next goal)."""
-        return self._ask or (task is not None and task.ask)
+        return self._ask or (task is not None and (task.ask or self._ask_resumed))
 
     def _change_ask(self, ask: bool, now: Now) -> None:
         """Set whether a person confirms the taps that are planned from now on. A tap that was
         already proposed still waits for its answer."""
-        self._ask = ask
+        self._ask, self._ask_resumed = ask, False
         if self._task is not None:
             self._keep_goal(self._task, now)
         if self._active:
@@ -617,6 +626,8 @@ class PlannerLogic:
             passed = now.steady - float(kept.get("kept_at", now.steady))
             limit = max(float(kept["time_left"]) - max(passed, event.kept_goal_age), 1.0)
             most, ask = int(kept["max_taps"]), bool(kept["ask"])
+            # Earlier versions did not store the following two.
+            ask_always, probe = bool(kept.get("ask_always")), bool(kept.get("probe"))
             name = str(kept["object_id"])
             taps = int(kept.get("taps", 0))  # earlier versions did not store it
             stops = {name: [int(one) for one in known] for name, known in kept["stops"].items()}
@@ -636,10 +647,12 @@ class PlannerLogic:
             angle,
             most,
             limit,
+            probe=probe,
             ask=ask,
             object_id=name,
             earlier_taps=taps,
         )
+        self._ask_resumed = ask_always
         self._resume_until = now.steady + self._settings.resume_within - event.kept_goal_age
 
     def _resume(self, request: Request, now: Now) -> None:
@@ -653,8 +666,7 @@ class PlannerLogic:
             return
         task.earlier_taps = request.earlier_taps
         self._log(LogLevel.WARNING, "resuming the goal of a planner that crashed")
-        self._begin(task, now)
-        self._is_resumed = True
+        self._begin(task, now, resumed=True)
         self._withdraw_orphan(now)
         if self._stop_reported is not None:
             self._fail(*self._stop_reported, now)
@@ -945,8 +957,11 @@ class PlannerLogic:
                 error_msg=f"tap {asked.tap_id} is not waiting for confirmation; {waiting}",
             )
         self._confirmed = None
+        if not asked.confirm and isinstance(task, SingleTapTask):
+            self._fail(ErrorCode.TAP_NOT_CONFIRMED, "a person rejected the single tap", now)
+            return ConfirmTap.Response(accepted=True)
         if not asked.confirm:
-            task.session.skip(shot.strike)
+            task.skip(shot.strike)
             self._drop_proposal("it was skipped", now)
             return ConfirmTap.Response(accepted=True)
         missing = self._monitor.missing(now)
@@ -983,6 +998,7 @@ class PlannerLogic:
         if self._disturbed(shot, now):
             # arm_state may be late, so the tap may already have been fired. Only the tapper knows.
             self._log(LogLevel.WARNING, MOVED_BEFORE_TAP)
+            self._withdraw_confirmation("an object was moved")
             self._give_up(TapperState.UNKNOWN, now)
         elif (unreachable := self._monitor.out_of_reach(shot.tap_id)) is not None:
             self._try_another_way(task, shot, *unreachable, now)
@@ -1000,7 +1016,8 @@ class PlannerLogic:
 
     def _try_another_way(self, task: Task, shot: Shot, code: int, sentence: str, now: Now) -> None:
         """Plan a tap from another direction, because the present tap is out of the arm's reach."""
-        task.session.skip(shot.strike)
+        task.skip(shot.strike)
+        self._withdraw_confirmation(sentence)
         task.not_fired += 1
         # The arm will not be in position for this tap, so the tapper cannot fire it.
         shot.outcome = shot.outcome or TapperState.NOT_FIRED
@@ -1020,6 +1037,7 @@ class PlannerLogic:
             # Either an object was moved before the tap, or the tap itself moved the object and the
             # tapper's report has not arrived yet. In both cases, the tap is withdrawn, and the
             # tapper still reports the outcome.
+            self._withdraw_confirmation("an object was moved")
             self._withdraw(shot.tap_id, now)
         if self.state is S.FIRING and (self._late(now) or self._monitor.lost(now)):
             self._log(LogLevel.WARNING, "the tap's outcome is not known; observing the object")
@@ -1048,7 +1066,7 @@ class PlannerLogic:
             if self._has_arm and code == ErrorCode.OBJECT_NOT_SEEN:
                 # On its way to this strike pose, the arm itself may hide the object, so choose
                 # another tap.
-                task.session.skip(shot.strike)
+                task.skip(shot.strike)
             settings = self._settings
             if task.not_fired >= settings.attempts or task.late >= settings.late_attempts:
                 self._fail(code, sentence, now)
@@ -1278,8 +1296,9 @@ class PlannerLogic:
             self._log(LogLevel.ERROR, f"goal ended ({code}): {sentence}")
         else:
             self._log(LogLevel.INFO, f"goal done after {task.taps} taps")
+        self.goals.learn(task)
         try:
-            self.goals.learn(task)
+            self.goals.keep_learnt(task)
         except OSError as error:
             self._log(LogLevel.WARNING, f"the learnt gains of the object were not saved: {error}")
 
@@ -1290,7 +1309,10 @@ class PlannerLogic:
     ) -> None:
         """Publish the state with its error code and message; ``draw``: also publish the markers."""
         self._reported_at = now.steady if draw else self._reported_at
-        task, pose = self._task, self._monitor.pose
+        task = self._task
+        # While the monitor watches another object, of which an observation is missing, the report
+        # is still about the present object.
+        pose = self._monitor.pose_of("" if task is None else task.watched)
         state = PlanState(state=WIRE[self.state], error_code=code, error_msg=sentence)
         state.header.stamp = to_stamp(now.ros)
         state.header.frame_id = "table"

@@ -171,6 +171,8 @@ class Task:
     """Steady time in s after which the goal is aborted."""
     ask: bool = False
     """Whether a person confirms every tap."""
+    probe: bool = False
+    """Whether the goal begins with a few of the smallest taps."""
     earlier_taps: int = 0
     """Taps of this goal that a planner commanded before it crashed, without those that are known
     not to have been fired. There are no records of these taps."""
@@ -268,6 +270,10 @@ class Task:
     def learn(self, shot: Shot, pose: Pose, covariance: Array) -> None:
         """Learn from a tap and the pose observed after it."""
         self.session.observe(shot.strike, shot.before, pose, covariance)
+
+    def skip(self, strike: Strike) -> None:
+        """Choose a tap other than this one, if possible, until the next tap is fired."""
+        self.session.skip(strike)
 
     def lose(self, shot: Shot) -> None:
         """Record the tap during which the goal ended if it was fired or may have been fired, and if

@@ -1,17 +1,18 @@
 """Storage of learnt gains between runs: one small file per object and cell.
 
 The file is ``$XDG_STATE_HOME/tapping_cell/gains/<cell>/<object>.json``. If the variable is not set,
-``~/.local/state`` is used in its place. Gains are saved only on request, because they are valid
-only for one object on one table at one humidity, and gains learnt in a simulated cell are valid
-only for that cell.
+``~/.local/state`` is used in its place. If the object's name is not a plain file name, a part of
+its hash distinguishes the files of similar names. Gains are saved only on request, because they are
+valid only for one object on one table at one humidity, and gains learnt in a simulated cell are
+valid only for that cell.
 """
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import re
-import tempfile
 from pathlib import Path
 
 from tapping_cell.planning.errors import PlanningError
@@ -25,6 +26,8 @@ def gains_file(object_name: str, cell: str) -> Path:
         os.path.expanduser("~"), ".local", "state"
     )
     safe = re.sub(r"[^A-Za-z0-9._-]+", "_", object_name).strip("._") or "object"
+    if safe != object_name:
+        safe += "-" + hashlib.sha256(object_name.encode()).hexdigest()[:12]
     return Path(root) / "tapping_cell" / "gains" / cell / f"{safe}.json"
 
 
@@ -37,11 +40,12 @@ def keep_gains(object_name: str, cell: str, gains: Gains) -> Path:
     path = gains_file(object_name, cell)
     path.parent.mkdir(parents=True, exist_ok=True)
     content = {"object": object_name, **gains.as_numbers()}
-    with tempfile.NamedTemporaryFile(
-        "w", dir=path.parent, suffix=".part", delete=False, encoding="utf-8"
-    ) as part:
-        json.dump(content, part, indent=2)
-    os.replace(part.name, path)
+    part = path.with_suffix(".part")
+    with part.open("w", encoding="utf-8") as file:
+        json.dump(content, file, indent=2)
+        file.flush()
+        os.fsync(file.fileno())  # so that a loss of power leaves either the old or the new content
+    part.replace(path)
     return path
 
 

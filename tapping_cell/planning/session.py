@@ -485,7 +485,7 @@ class PositioningSession(GoalSession):
         )
 
     def _strike(self, pose: Array, left: Array, missed: tuple[float, ...]) -> Strike | Refusal:
-        probe = self._probe(pose, left)
+        probe = self._probe(pose, left, missed)
         if probe is not None:
             return probe
         distance, turn, heading = self.gains.to_plan(left)
@@ -675,8 +675,9 @@ class PositioningSession(GoalSession):
             settings.largest_distance / self._longest_factor(), 2.0 * settings.smallest_distance
         )
 
-    def _probe(self, pose: Array, left: Array) -> Strike | None:
-        """Return a probe tap if a probe was requested and is still needed, else None."""
+    def _probe(self, pose: Array, left: Array, missed: tuple[float, ...]) -> Strike | None:
+        """Return a probe tap if a probe was requested and is still needed, else None. The tap
+        differs from those with the headings ``missed`` (rad)."""
         if self._probes_left == 0 or self._longest_factor() <= UNKNOWN:
             return None
         settings = self.planner.settings
@@ -686,7 +687,7 @@ class PositioningSession(GoalSession):
         candidates = self.gains.command(
             np.full(heading.shape, size), turn, heading, pose[2], settings.cone_slope
         )
-        safe = candidates[self._ends_well(pose, candidates)]
+        safe = candidates[self._ends_well(pose, candidates) & _elsewhere(candidates, missed)]
         if safe.shape[0] == 0:
             return None
         found = self._space.first_strike(Pose(*pose.tolist()), safe)

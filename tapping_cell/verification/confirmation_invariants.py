@@ -71,7 +71,9 @@ class ConfirmationChecker:
     _goal_asks: bool = False
     """Whether the present goal demands a confirmation of its taps."""
     _kept: bool = False
-    """Whether the goal of the planner that crashed demanded a confirmation of its taps."""
+    """Whether the planner that crashed had been told to ask before every tap."""
+    _resumed_asks: bool = False
+    """Whether this applies to the present goal, because the goal was resumed."""
     _proposals: dict[int, PlannedTap] = field(default_factory=dict)
     _last: int = 0
     """Id of the last proposed tap."""
@@ -87,18 +89,20 @@ class ConfirmationChecker:
 
     def on_asks(self, asks: bool) -> None:
         """Process that the planner has accepted a change of ``ask``."""
-        self._asks = asks
+        self._asks, self._resumed_asks = asks, False
 
     def on_planner_ended(self) -> None:
         """Process the end of the planner's process. A resumed goal demands the same
         confirmations."""
-        self._kept = self._asks or self._goal_asks
+        self._kept = self._asks or self._resumed_asks
         self._asks, self._goal_asks = self.asks_from_start, False
+        self._resumed_asks = False
         self._confirmed.clear()
 
     def on_goal_begun(self, request: int, resumed: bool) -> None:
         """Process that the planner begins or resumes the goal of a request."""
-        self._goal_asks = request in self.asking_goals or (resumed and self._kept)
+        self._goal_asks = request in self.asking_goals
+        self._resumed_asks = resumed and self._kept
         self._confirmed.clear()
 
     def on_plan_state(self, message: PlanState) -> None:
@@ -153,7 +157,7 @@ class ConfirmationChecker:
             # The planner answers within the same event.
             self.scheduler.after(0.0, lambda: self._check_accepted(tap_id))
             return
-        if not (self._asks or self._goal_asks or tap_id in self._proposals):
+        if not (self._asks or self._goal_asks or self._resumed_asks or tap_id in self._proposals):
             return
         for confirmed in reversed(self._confirmed):
             if self._covers(confirmed, command):

@@ -240,19 +240,25 @@ RECOVERY_S = 90.0
 
 DIALECTS = ("grbl", "grbl", "marlin")
 """Controllers of the arm; the seed selects one. After a loss of power, Marlin raises no alarm."""
+OBJECTS = ("aluminium_disk", "aluminium_square", "plexiglas_disk")
+"""Names of the object files; the seed selects one. Most runs use the first one."""
+SHARE_OF_OTHER_SHAPES, SHARE_OF_PROBES = 0.2, 0.1
+"""Fraction of the runs with another object than the first one, and of the runs whose goals begin
+with a few of the smallest taps, which estimate the object's friction."""
 
 
 @cache
-def shipped_cell(dialect: str = "grbl") -> Cell:
-    """Return the default cell of the package with this controller of the arm."""
-    cell = load_cell()
+def shipped_cell(dialect: str = "grbl", tapped: str = OBJECTS[0]) -> Cell:
+    """Return the default cell of the package with this controller of the arm. ``tapped``: name of
+    the object's file, without its folder and suffix."""
+    cell = load_cell(object_path=shared_folder() / "objects" / f"{tapped}.yaml")
     return replace(cell, file=replace(cell.file, arm=replace(cell.arm, dialect=dialect)))
 
 
 @cache
-def table_maps() -> TableMaps:
-    """Return the maps that all runs of this process share."""
-    return TableMaps(shipped_cell())
+def table_maps(tapped: str = OBJECTS[0]) -> TableMaps:
+    """Return the maps that all runs of this process share, for an object as in ``shipped_cell``."""
+    return TableMaps(shipped_cell(tapped=tapped))
 
 
 @dataclass(slots=True)
@@ -334,6 +340,11 @@ class Trial:
         if self.asks:
             self.makers = {**self.makers, **ASK_MAKERS}
             self.at_a_shot = (*self.at_a_shot, *tuple(ASK_MAKERS) * MODE_SHARE)
+        variants = np.random.default_rng([seed, 25])
+        self._tapped = OBJECTS[0]
+        if variants.random() < SHARE_OF_OTHER_SHAPES:
+            self._tapped = OBJECTS[1 + int(variants.integers(len(OBJECTS) - 1))]
+        self._probes = bool(variants.random() < SHARE_OF_PROBES)
         self.cell = self._make_cell(seed)
         truth = load(TruthFile, shared_folder() / "truth" / "default.yaml")
         self.physical = self._make_physical(truth, seed)
@@ -534,7 +545,7 @@ class Trial:
     # Methods that other kinds of cells override.
 
     def _make_cell(self, seed: int) -> Cell:
-        return shipped_cell(DIALECTS[seed % len(DIALECTS)])
+        return shipped_cell(DIALECTS[seed % len(DIALECTS)], self._tapped)
 
     def _make_physical(self, truth: TruthFile, seed: int) -> PhysicalCell:
         return PhysicalCell(self.scheduler, self.cell, truth, seed)
@@ -561,7 +572,7 @@ class Trial:
             OtherObjects(self._other_files(), MEMORY_S, MOVED_M),
             now,
             adapt=True,
-            probe=False,
+            probe=self._probes,
             keep_for="",
             time_limit=self.settings.goal_time_limit,
             maps=self._maps(),
@@ -573,7 +584,7 @@ class Trial:
         return ()
 
     def _maps(self) -> TableMaps | None:
-        return table_maps()
+        return table_maps(self._tapped)
 
     def _request(self, index: int, message: PoseStamped) -> tuple[str, Any]:
         """Return the action and the request of a goal. ``index``: number of the request for the

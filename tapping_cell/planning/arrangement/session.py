@@ -152,6 +152,7 @@ class ArrangementSession:
         self._last: dict[str, Pose] = {}
         self._settled: dict[str, Pose] = {}
         self._tapped = ""
+        self._skipped: dict[str, tuple[Strike, ...]] = {}  # rejected taps of each object
         self.move: Move | None = None
         """Current move; None before the first move and after the last one."""
         self.finished: frozenset[str] = frozenset()
@@ -251,12 +252,20 @@ class ArrangementSession:
         self._tapped = tap.name
         self._confirmed.pop(tap.name, None)
         self._excluded = frozenset()
+        self._skipped.clear()
         # A move that failed may be possible once another object has moved.
         self._stalled = frozenset(each for each in self._stalled if each[0] == tap.name)
         self._taps_without_progress += 1
         if self._session is not None and self.move == tap.move:
             self._session.observe(tap.strike, before.pose, after.pose, after.covariance)
             self.gains[tap.name] = self._session.gains
+
+    def skip(self, tap: TapOf) -> None:
+        """Reject a tap. Until the next tap is fired, a different tap of this object is chosen if
+        one is possible, even if the move is planned again."""
+        self._skipped[tap.name] = (*self._skipped.get(tap.name, ()), tap.strike)
+        if self._session is not None and self.move == tap.move:
+            self._session.skip(tap.strike)
 
     def _begin(self, move: Move) -> None:
         """Make a move the current one."""
@@ -372,6 +381,8 @@ class ArrangementSession:
                 adapt=self._adapt,
                 most_taps=self._most_taps,
             )
+            for strike in self._skipped.get(body.name, ()):
+                self._session.skip(strike)
         elif self._session_map is not free:
             self._session.use_free_space(free.space, free)
         self._session_move, self._session_map = move, free

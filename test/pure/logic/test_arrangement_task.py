@@ -774,3 +774,16 @@ def test_the_last_check_uses_the_tapped_object() -> None:
     peers.begin_tap("other", 0.0)
     assert peers._disturbance(there, later)[0] == ErrorCode.OBJECT_NOT_SEEN  # type: ignore[index]
     assert math.isfinite(later.steady)
+
+
+def test_the_reported_residual_is_that_of_the_present_object(cell: Table) -> None:
+    """Another object, of which an observation is missing, is watched meanwhile."""
+    name = cell.names[0]
+    goal = moved(cell.poses[name], 0.1, 0.0)
+    cell.send({name: goal})
+    cell.hidden.add(cell.names[1])
+    cell.run(1.5)
+    looking = [one for one in cell.states if one.state == PlanState.LOOKING]
+    assert len(looking) > 1
+    assert {one.object_id for one in looking} == {name}
+    assert {round(one.residual_distance, 6) for one in looking} == {0.1}

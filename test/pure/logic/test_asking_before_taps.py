@@ -21,6 +21,7 @@ from tapping_cell.messages import (
     PlannedTap,
     PlanState,
     SetBool,
+    SingleTap,
     TapperState,
 )
 from tapping_cell.se2 import Pose
@@ -340,3 +341,32 @@ def test_without_the_confirmation_mode_no_tap_waits() -> None:
     actors.send(GOAL)
     assert actors.end().state == PlanState.REACHED
     assert not any(plan.state == PlanState.CONFIRMING for plan in actors.plans)
+
+
+def test_a_tap_before_which_an_object_was_moved_is_asked_for_again(asked: Asked) -> None:
+    """Also if the object was put back, so that the new tap equals the confirmed one."""
+    asked.arm_arrives = False
+    asked.send()
+    shown = asked.proposal()
+    home = asked.pose
+    assert asked.answer(shown.tap_id).accepted
+    asked.wait(asked.taps, "the command")
+    asked.pose = Pose(home.x + 0.05, home.y, home.theta)
+    asked.wait(lambda: len(asked.commands) > 1, "the withdrawal")
+    asked.outcome = TapperState.NOT_FIRED
+    asked.pose = home
+    again = asked.proposal(shown.tap_id)
+    assert "an object was moved" in again.reason
+    assert len(asked.taps()) == 1
+
+
+def test_a_rejected_single_tap_is_not_proposed_again(asked: Asked) -> None:
+    results: list[SingleTap.Result] = []
+    asked.wait(lambda: asked.states, "the planner is up")
+    asked.run(0.3)
+    prescribed = SingleTap.Goal(striker_speed=0.6, incidence=0.0, direction=math.nan, slack=math.pi)
+    asked.process.request("single_tap", prescribed, object(), results.append)
+    assert asked.answer(asked.proposal().tap_id, confirm=False).accepted
+    asked.run(0.1)
+    assert [one.error_code for one in results] == [ErrorCode.TAP_NOT_CONFIRMED]
+    assert asked.taps() == []

@@ -28,6 +28,7 @@ from tapping_cell.messages import (
     PlanState,
     PoseStamped,
     PositionObject,
+    SetBool,
     TapperState,
     Time,
     Trigger,
@@ -378,3 +379,23 @@ def test_a_goal_received_before_the_node_is_configured_is_refused() -> None:
     made = logic.on_message("goal_pose", PoseStamped(), NOW)
     reports = [e.message for e in made if isinstance(e, Publish) and e.topic == "goal_report"]
     assert [report.error_code for report in reports] == [ErrorCode.NOT_ACTIVE]
+
+
+@pytest.mark.parametrize(("kept", "asks"), [({"ask": False}, False), ({"ask": True}, True)])
+def test_asking_that_was_switched_on_before_the_crash_can_be_switched_off(
+    kept: dict[str, Any], asks: bool
+) -> None:
+    """A goal that itself demands a confirmation still asks."""
+    logic, made = started({**GOAL, **kept, "ask_always": True})
+    assert logic.last.ask
+    stored = [effect.content for effect in made if isinstance(effect, KeepGoal)][-1]
+    assert stored is not None and stored["ask_always"], "also after the next crash"
+    logic.on_request("ask", SetBool.Request(data=False), 1, NOW)
+    assert logic.last.ask is asks
+
+
+@pytest.mark.parametrize("probe", [False, True])
+def test_a_resumed_goal_still_probes(probe: bool) -> None:
+    _, made = started({**GOAL, "probe": probe})
+    stored = [effect.content for effect in made if isinstance(effect, KeepGoal)][-1]
+    assert stored is not None and stored["probe"] is probe

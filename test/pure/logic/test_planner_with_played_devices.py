@@ -789,3 +789,13 @@ def test_a_goal_that_the_arm_cannot_serve_is_refused(tmp_path: Path) -> None:
         lambda: any(p.error_code == ErrorCode.GOAL_OUT_OF_REACH for p in made.plans), "refused"
     )
     assert made.taps() == []
+
+
+def test_a_goal_that_replaces_another_one_knows_what_was_learnt(actors: Actors) -> None:
+    actors.send(Pose(0.1, 0.05, 2.5))  # several taps away
+    actors.wait(lambda: actors.plans[-1].last_tap.tap_id, "a tap from which the planner learns")
+    actors.send(Pose(-0.1, 0.05, 0.3))
+    actors.wait(lambda: actors.plans[-1].goal.pose.position.x == -0.1, "the other goal")
+    first = next(n for n, one in enumerate(actors.plans) if one.goal.pose.position.x == -0.1)
+    assert actors.plans[first - 1].learnt.explained > 0
+    assert actors.plans[first].learnt == actors.plans[first - 1].learnt

@@ -294,3 +294,26 @@ def test_objects_reported_done_are_inside_the_tolerance_and_nothing_was_hit(
     assert trial.end != "done" or trial.inside
     assert trial.tool_contacts == 0
     assert math.isfinite(trial.taps)
+
+
+def test_a_rejected_tap_is_not_proposed_again_when_the_move_is_planned_again(kind: Kind) -> None:
+    session = ArrangementSession(bodies_of(kind, [Pose(0.1, 0.0, 0.0)]))
+    seen = {"o0": Observation(Pose(-0.05, 0.0, 0.0))}
+    first = session.decide(seen)
+    assert isinstance(first, TapOf)
+    session.skip(first)
+    session.avoid([CircleArea(0.2, 0.13, 0.01)])  # far from the way
+    second = session.decide(seen)
+    assert isinstance(second, TapOf)
+    turned = math.remainder(
+        math.atan2(second.strike.commanded.y, second.strike.commanded.x)
+        - math.atan2(first.strike.commanded.y, first.strike.commanded.x),
+        math.tau,
+    )
+    assert abs(turned) > math.radians(10)
+    session.observe(second, seen["o0"], seen["o0"])
+    session.avoid([])
+    session.observe(second, seen["o0"], Observation(Pose(-0.04, 0.0, 0.0)))
+    third = session.decide({"o0": Observation(Pose(-0.04, 0.0, 0.0))})
+    assert isinstance(third, TapOf)
+    assert abs(third.strike.commanded.y) < 0.2 * abs(third.strike.commanded.x), "as at first"

@@ -199,6 +199,17 @@ def test_the_spread_covers_999_of_1000_first_slides_for_any_prior(friction):
     assert np.mean(slides > spread.longest) <= 1e-3
 
 
+@pytest.mark.parametrize(
+    "names", [("чашка", "блюдце"), ("Tasse ä", "Tasse ö"), ("cup 1", "cup_1"), ("a.", "a")]
+)
+def test_gains_of_objects_with_similar_names_are_kept_apart(names):
+    one, other = names
+    keep_gains(one, "domain0", learn((1.8, 0.6, 0.01, 0.0, 1.0, 0.0), 12))
+    assert np.array_equal(load_gains(other, "domain0").value, Gains.start().value)
+    keep_gains(other, "domain0", Gains.start())
+    assert load_gains(one, "domain0").value[0] == pytest.approx(1.8, rel=0.06)
+
+
 def test_saved_gains_are_restored_and_a_damaged_file_is_named():
     name = "my disk / no. 3"
     assert np.array_equal(load_gains(name, "domain0").value, Gains.start().value)
@@ -212,7 +223,7 @@ def test_saved_gains_are_restored_and_a_damaged_file_is_named():
     assert loaded.spread([0.01, 0, 0], SCATTER, 3.0).longest < 2.0
     content = json.loads(path.read_text())
     path.write_text(json.dumps({**content, "distance": 17.0}))
-    with pytest.raises(PlanningError, match=r"no\._3\.json.*distance is 17\.0.*0\.1 to 10"):
+    with pytest.raises(PlanningError, match=r"no\._3-\w+\.json.*distance is 17\.0.*0\.1 to 10"):
         load_gains(name, "domain0")
     path.write_text("{")
     with pytest.raises(PlanningError, match="delete it"):

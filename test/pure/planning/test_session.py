@@ -315,6 +315,25 @@ def test_a_probe_begins_with_the_smallest_taps_and_ends_when_the_object_is_known
     assert session.gains.value[0] == pytest.approx(2.5, rel=0.15)
 
 
+def test_a_rejected_or_missed_probe_is_not_proposed_again(planner, space, free):
+    session = PositioningSession((0.15, 0.0, 0.5), planner, space, free, probe=True)
+    pose, headings = (-0.05, 0.02, 0.1), []
+    for skipped in (True, True, False):
+        decision = session.decide(pose)
+        assert isinstance(decision, Strike) and "probe" in decision.detour
+        heading = math.atan2(decision.commanded.y, decision.commanded.x)
+        assert all(abs(wrap_angle(heading - other)) > math.radians(10) for other in headings)
+        headings.append(heading)
+        if skipped:
+            session.skip(decision)
+        else:
+            session.observe(decision, pose, pose)
+    missed, again = headings[-1], session.decide(pose)
+    assert isinstance(again, Strike)
+    heading = math.atan2(again.commanded.y, again.commanded.x)
+    assert abs(wrap_angle(heading - missed)) > math.radians(10)
+
+
 def test_near_an_edge_an_unknown_object_is_refused_until_it_is_probed(planner, tap, known):
     """On this table even the smallest tap might be too long."""
     table = Workspace(length=0.118, width=0.118)
