@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import array
+import struct
 import subprocess
 import sys
+import zlib
 
 import cv2
 import numpy as np
@@ -151,7 +153,30 @@ def test_a_compressed_image_is_close_to_the_raw_image(coding: str) -> None:
     assert off.max() <= (0 if coding == ".png" else 6) and off.mean() < 2
 
 
-@pytest.mark.parametrize("data", [b"", b"no picture", b"\xff\xd8\xff\xe0"])
+def png(width: int, height: int) -> bytes:
+    """Return a PNG file whose header states this size, with the data of few pixels."""
+
+    def chunk(kind: bytes, content: bytes) -> bytes:
+        check = zlib.crc32(kind + content)
+        return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", check)
+
+    header = struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0)
+    parts = ((b"IHDR", header), (b"IDAT", zlib.compress(bytes(10))), (b"IEND", b""))
+    return b"\x89PNG\r\n\x1a\n" + b"".join(chunk(*part) for part in parts)
+
+
+@pytest.mark.parametrize("encoding", ["mono8", "rgb8", "mono16"])
+def test_an_image_without_columns_is_refused(encoding: str) -> None:
+    made = message(CASES[encoding], encoding)
+    made.width = 0
+    for convert in (images.to_grey, lambda empty: images.to_jpeg(empty, 80)):
+        with pytest.raises(images.ImageRefused, match=f"states 0 x {HEIGHT} {encoding}"):
+            convert(made)
+
+
+@pytest.mark.parametrize(
+    "data", [b"", b"no picture", b"\xff\xd8\xff\xe0", png(2**19, 2**14)], ids=len
+)
 def test_undecodable_data_is_refused_with_a_message(data: bytes) -> None:
     made = CompressedImage(format="jpeg", data=array.array("B", data))
     with pytest.raises(images.ImageRefused, match=f"{len(data)} bytes, format 'jpeg'"):

@@ -22,6 +22,9 @@ import yaml
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
 from harness import Bench, bench
+from rcl_interfaces.msg import Parameter as ParameterMessage
+from rcl_interfaces.msg import ParameterType
+from rcl_interfaces.srv import SetParameters
 from std_msgs.msg import Bool, String
 from std_srvs.srv import Trigger
 from tapping_cell_msgs.msg import (
@@ -435,6 +438,58 @@ def test_a_goal_gets_the_planners_refusal_and_can_be_canceled() -> None:
                 await page.state(lambda s: not s["plan"]["busy"])
 
         play(scenario)
+
+
+def test_the_page_shows_the_planning_method_that_the_planner_uses() -> None:
+    nodes: list[Any] = []
+
+    def make() -> list[Any]:
+        nodes.extend([OperatorPage(), TapPlanner()])
+        return list(nodes)
+
+    default = load_cell().file.goal.planner
+    with bench(make, {**PARAMETERS, "tap_planner": {"planner": "exact"}}) as b:
+        cell = Cell(b, nodes[0])
+        b.wait(lambda: nodes[1].active, "the planner is active")
+        assert b.probe is not None
+        client = b.probe.create_client(SetParameters, "tap_planner/set_parameters")
+
+        def set_elsewhere(method: str) -> None:
+            changed = ParameterMessage(name="planner")
+            changed.value.type = ParameterType.PARAMETER_STRING
+            changed.value.string_value = method
+            b.wait(client.service_is_ready, "the planner's parameters")
+            done = client.call_async(SetParameters.Request(parameters=[changed]))
+            b.wait(done.done, "the planner answers")
+            assert done.result().results[0].successful
+
+        async def scenario() -> None:
+            async with cell.open() as page, cell.open() as other:
+                await page.state(lambda s: s["planner"] == "exact")
+                await other.send({"do": "set_planner", "planner": "conservative"})
+                assert (await other.answer("settings"))["ok"]
+                await page.state(lambda s: s["planner"] == "conservative")
+                await page.send({"do": "set_planner", "planner": "no such method"})
+                assert not (await page.answer("settings"))["ok"]
+                assert (await page.state(lambda s: True))["planner"] == "conservative"
+                await asyncio.to_thread(set_elsewhere, "exact")
+                await page.state(lambda s: s["planner"] == "exact")
+                await asyncio.to_thread(set_elsewhere, "")
+                await page.state(lambda s: s["planner"] == default)
+
+        assert default not in ("exact", "conservative")
+        play(scenario)
+
+
+def test_the_planning_method_is_unknown_without_a_planner(cell: Cell) -> None:
+    async def scenario() -> None:
+        async with cell.open() as page:
+            assert (await page.state(lambda s: True))["planner"] is None
+            await page.send({"do": "set_planner", "planner": "exact"})
+            answer = await page.answer("settings")
+            assert not answer["ok"] and "the planner does not answer" in answer["text"]
+
+    play(scenario)
 
 
 def several(folder: Path) -> Path:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import signal
 import subprocess
@@ -38,6 +39,7 @@ from tapping_cell.nodes.cell_node import LATCHED
 from tapping_cell.nodes.conversions import to_message
 from tapping_cell.nodes.page.runs import Runs
 from tapping_cell.nodes.recorder import run_recorder
+from tapping_cell.nodes.recorder.recording import CannotRecord, Recording
 from tapping_cell.nodes.recorder.run_recorder import RunRecorder
 from tapping_cell.report.arrangement_run import read_arrangement
 from tapping_cell.report.bag import read_bag
@@ -360,6 +362,67 @@ def test_ctrl_c_during_a_goal_writes_the_tables_without_a_traceback(tmp_path: Pa
     (folder,) = (tmp_path / "runs").iterdir()
     assert read_run(folder).outcome == "unfinished"
     assert read_bag(folder / "bag").whole
+
+
+@pytest.mark.parametrize("cause", ["disk space", "write", "everything"])
+def test_a_recording_that_cannot_continue_is_closed_and_gets_a_summary(
+    cause: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    def small(folder: Path, least_free: float) -> None:
+        raise CannotRecord(f"the disk of {folder} is nearly full")
+
+    with cell(tmp_path, pictures=True) as fake:
+        fake.see(START)
+        goal = fake.goal()
+        fake.plan(goal, PlanState.PLACING)
+        fake.bench.wait(lambda: is_written(tmp_path / "runs"), "it records")
+        with monkeypatch.context() as patch:
+            if cause == "disk space":
+                patch.setattr(run_recorder, "check_disk_space", small)
+            else:
+                patch.setattr(Recording, "write", full)
+            if cause == "everything":
+                patch.setattr(Recording, "close", full)
+                patch.setattr(Recording, "write_report", full)
+            fake.bench.wait(lambda: fake.health()[0] == DiagnosticStatus.ERROR, "it says so")
+        sentence = fake.health()[1]
+        assert "was stopped: " in sentence
+        assert ("nearly full" if cause == "disk space" else "No space left") in sentence
+        fake.bench.wait(lambda: len(fake.runs) == 1, "the run is announced")
+        folder = Path(fake.runs[0].data)
+        if cause != "everything":
+            assert read_bag(folder / "bag").whole
+            assert read_run(folder).outcome == "unfinished"
+            assert not (folder / "report.html").exists()
+        # The rest of the goal is not recorded, but the next goal is.
+        fake.report(goal, taps=0)
+        fake.plan(goal, PlanState.REACHED)
+        time.sleep(2.0)
+        fake.follow(fake.goal())
+        fake.bench.wait(lambda: len(fake.runs) == 2, "the next goal is recorded")
+        fake.bench.wait(lambda: fake.health()[0] == DiagnosticStatus.OK, "it is well again")
+    assert read_run(Path(fake.runs[1].data)).reached
+    assert len(list((tmp_path / "runs").iterdir())) == 2
+
+
+def test_the_diagnostics_name_the_folder_in_which_runs_are_made(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
+    with cell(tmp_path, folder="~/runs") as fake:
+        (shown,) = {
+            value.value
+            for message in fake.diagnostics
+            for status in message.status
+            for value in status.values
+            if value.key == "folder"
+        }
+        fake.follow(fake.goal())
+        fake.recorded(1)
+        assert shown == str(Path(fake.runs[0].data).parent) == str(tmp_path / "runs")
 
 
 def test_single_taps_create_no_run_folder(tmp_path: Path) -> None:

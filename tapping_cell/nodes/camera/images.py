@@ -73,7 +73,8 @@ def unpack(message: Image) -> NDArray[np.uint8]:
     copied only if the rows are padded.
 
     Raises:
-        ImageRefused: the encoding is unknown, or there are fewer bytes than the size requires.
+        ImageRefused: the encoding is unknown, the image is empty, or there are fewer bytes than the
+            size requires.
     """
     encoding = ENCODINGS.get(message.encoding)
     if encoding is None:
@@ -82,7 +83,7 @@ def unpack(message: Image) -> NDArray[np.uint8]:
             f"{', '.join(ENCODINGS)}, preferably mono8"
         )
     width, needed = message.width * encoding.size, message.step * message.height
-    if message.step < width or len(message.data) < needed or needed == 0:
+    if message.step < width or len(message.data) < needed or 0 in (width, needed):
         raise ImageRefused(
             f"the image's header states {message.width} x {message.height} {message.encoding} "
             f"with {message.step} bytes per row, but its data has {len(message.data)} bytes"
@@ -167,7 +168,10 @@ def to_grey(message: Image | CompressedImage) -> NDArray[np.uint8]:
 
 def _decompress(message: CompressedImage) -> NDArray[np.uint8]:
     coded = np.frombuffer(message.data, dtype=np.uint8)
-    picture = cv2.imdecode(coded, cv2.IMREAD_GRAYSCALE) if coded.size else None
+    try:
+        picture = cv2.imdecode(coded, cv2.IMREAD_GRAYSCALE) if coded.size else None
+    except cv2.error:  # a damaged header can state more pixels than OpenCV accepts
+        picture = None
     if picture is None:
         raise ImageRefused(
             f"the compressed image of {coded.size} bytes, format '{message.format}', cannot be "

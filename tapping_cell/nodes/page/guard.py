@@ -13,7 +13,7 @@ import secrets
 import socket
 from collections.abc import Iterable
 from dataclasses import dataclass
-from urllib.parse import urlsplit
+from urllib.parse import SplitResult, quote, urlsplit
 
 LOOPBACK_NAMES = ("localhost", "127.0.0.1", "::1")
 
@@ -79,7 +79,7 @@ class Guard:
             )
         if origin is None:
             return "a request without an Origin header is not accepted" if command else ""
-        parts = urlsplit(origin) if _plain(origin) else None
+        parts = _split(origin) if _plain(origin) else None
         expected = host if page_port is None else _with_port(name, page_port)
         if parts is None or parts.scheme not in ("http", "https") or parts.netloc != expected:
             return f"a page from {origin[:100]} may not connect to this cell"
@@ -98,6 +98,14 @@ class Guard:
 
 def _plain(text: str) -> bool:
     return text.isascii() and text.isprintable() and " " not in text
+
+
+def _split(url: str) -> SplitResult | None:
+    """Return the parts of a URL; None if it is malformed."""
+    try:
+        return urlsplit(url)
+    except ValueError:
+        return None
 
 
 def host_name(host: str) -> str | None:
@@ -121,7 +129,7 @@ def _with_port(name: str, port: int) -> str:
 def urls(address: str, port: int, token: str) -> list[str]:
     """Return the URLs of the page. The token follows the #. Browsers do not send this part of a
     URL, so the token appears in no server's log."""
-    tail = f":{port}/" + (f"#token={token}" if token else "")
+    tail = f":{port}/" + (f"#token={quote(token, safe='')}" if token else "")
     if is_loopback(address):
         return [f"http://{'[::1]' if address == '::1' else 'localhost'}{tail}"]
     names = [socket.gethostname()]

@@ -17,9 +17,7 @@ from pathlib import Path
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
-from rcl_interfaces.srv import SetParameters
 from rclpy.action import ActionClient
-from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 from rclpy.timer import Timer
@@ -46,6 +44,7 @@ from tapping_cell.nodes.page.cell_view import CellView, error_pair, triple, with
 from tapping_cell.nodes.page.goal_preview import GoalPreview
 from tapping_cell.nodes.page.goal_queue import GoalQueue, NamedGoals, QueueFull
 from tapping_cell.nodes.page.node_watch import ACTORS, ARM, NodeWatch
+from tapping_cell.nodes.page.planner_parameters import PlannerParameters
 from tapping_cell.nodes.page.requests import (
     Arrange,
     Command,
@@ -143,7 +142,7 @@ class OperatorPage(CellNode[Parameters]):
         self._button_client = self.create_client(Trigger, "sim_world/press_clear_button")
         self._enabling = self.create_publisher(Bool, enabling.TOPIC, COMMAND)
         self._confirm_client = self.create_client(ConfirmTap, "confirm_tap")
-        self._set_client = self.create_client(SetParameters, "tap_planner/set_parameters")
+        self._planner = PlannerParameters(self)
         self._queue = GoalQueue()
         self._named_file = KeptContent(state_folder(key_of(self)) / "named_goals.json")
         self._named = NamedGoals(self._named_file.recall())
@@ -304,7 +303,7 @@ class OperatorPage(CellNode[Parameters]):
             self.destroy_subscription(subscription)
         self._watched.clear()
         self._watch = self._timer = None
-        for each in (self._preview, self._view, self._arrangements):
+        for each in (self._preview, self._view, self._arrangements, self._planner):
             each.forget()
 
     def _on_picture(self, message: Image) -> None:
@@ -328,8 +327,10 @@ class OperatorPage(CellNode[Parameters]):
         self._view.held_by_page = self._stop is not None and self._stop.held
         self._view.simulated = self._watch.runs("sim_world")
         self._watch.has_arm = self._view.has_arm
-        self._follow_planner(self._watch.name_of("tap_planner"))
+        self._planner.follow(self._watch.name_of("tap_planner"))
+        self._planner.refresh()
         state = self._view.state()
+        state["planner"] = self._planning_method()
         state["nodes"] = self._watch.rows()
         state["placeable"] = self._preview.is_possible
         state["arrangement"] = self._arrangements.state()
@@ -344,6 +345,12 @@ class OperatorPage(CellNode[Parameters]):
         }
         state["named"] = [[name, *triple(pose)] for name, pose in self._named.rows()]
         self._server.show(state)
+
+    def _planning_method(self) -> str | None:
+        """Return the planning method of the next goal; None if it is unknown."""
+        assert self._cell is not None
+        method = self._planner.method
+        return self._cell.file.goal.planner if method == "" else method
 
     def _runs_hint(self) -> str:
         """Return the reason why the list of runs may be incomplete, or an empty text."""
@@ -439,23 +446,10 @@ class OperatorPage(CellNode[Parameters]):
     ) -> None:
         """Change a run-time parameter of the planner."""
 
-        def on_reply(response: SetParameters.Response) -> None:
-            result = response.results[0]
-            answer(answer_to("settings", result.successful, result.reason or text))
-            if result.successful:
-                self._view.note(f"{text}: set on the page ({who})")
+        def note() -> None:
+            self._view.note(f"{text}: set on the page ({who})")
 
-        changed = Parameter(name, value=value).to_parameter_msg()
-        request = SetParameters.Request(parameters=[changed])
-        call_service(self._set_client, request, "settings", "the planner", answer, on_reply)
-
-    def _follow_planner(self, node: str) -> None:
-        """Create a new client of the planner's parameter service if the planner's node now has
-        another name."""
-        service = f"{node}/set_parameters"
-        if self._set_client.srv_name != service:
-            self.destroy_client(self._set_client)
-            self._set_client = self.create_client(SetParameters, service)
+        self._planner.set(name, value, text, answer, note)
 
     def _change_lists(
         self, request: QueueGoal | Unqueue | NameGoal | ForgetGoal, answer: server.Answer

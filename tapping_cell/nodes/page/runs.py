@@ -21,6 +21,16 @@ REPORT = "report.html"
 MAX_ROWS = 40
 LARGEST_SUMMARY = 4_000_000
 """Maximum number of bytes of a summary."""
+UNREADABLE = (
+    OSError,
+    ValueError,
+    TypeError,
+    LookupError,
+    AttributeError,
+    OverflowError,
+    RecursionError,
+)
+"""Exceptions that can occur while a damaged summary is read."""
 
 
 class Runs:
@@ -68,7 +78,8 @@ class Runs:
         caller must delete the file.
 
         Links are always omitted. Bags are already compressed, so they are stored without further
-        compression.
+        compression. Times that the ZIP format cannot express (before 1980, after 2107) are replaced
+        by the nearest possible time.
 
         Raises:
             OSError: the run is unreadable, or the disk is full.
@@ -79,7 +90,10 @@ class Runs:
         handle, made = tempfile.mkstemp(prefix="tapping_cell-run-", suffix=".zip")
         archive = Path(made)
         try:
-            with os.fdopen(handle, "wb") as stream, zipfile.ZipFile(stream, "w") as packed:
+            with (
+                os.fdopen(handle, "wb") as stream,
+                zipfile.ZipFile(stream, "w", strict_timestamps=False) as packed,
+            ):
                 for place, folders, files in os.walk(run, followlinks=False):
                     folders.sort()
                     for file in sorted(Path(place, each) for each in files):
@@ -149,7 +163,7 @@ class Runs:
                 "error": str(content["error_msg"])[:500],
                 "outcome": str(content["outcome"])[:40],
             }
-        except (OSError, ValueError, TypeError, KeyError, OverflowError, RecursionError):
+        except UNREADABLE:
             return row
         return row
 

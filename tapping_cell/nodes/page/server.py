@@ -56,8 +56,11 @@ PING_PERIOD_S = 5.0
 MAX_MESSAGES = 100
 """Maximum number of messages of one page per second. If a page sends more, it is disconnected."""
 MAX_COMMANDS = 10
-"""Maximum number of goals and commands of one page per second. Further requests are refused, except
-for a stop."""
+"""Maximum number of goals and commands of one page per second, except for those in UNLIMITED.
+Further requests are refused."""
+UNLIMITED = tuple(Command(name) for name in ("stop", "cancel", "enable", "disable"))
+"""Commands that only MAX_MESSAGES limits: those that end a motion, and the heartbeats of the
+enabling key."""
 MAX_ANSWERS = 64
 """Maximum number of queued responses for one page."""
 MAX_DOWNLOADS = 2
@@ -184,7 +187,7 @@ class PageServer:
             ("/live", PageSocket),
             ("/stop-port", StopPortHandler),
             ("/palette.css", PaletteHandler),
-            (r"/runs/([\w-]{22})/([^/]{1,400})/(report\.html|run\.zip)", RunHandler),
+            (r"/runs/([A-Za-z0-9_-]{22})/([^/]{1,400})/(report\.html|run\.zip)", RunHandler),
             ("/(.*)", FileHandler, {"path": str(STATIC), "default_filename": "index.html"}),
         ]
         application = Application(
@@ -435,9 +438,9 @@ class PageSocket(_Guarded, WebSocketHandler):
             )
 
     def _is_too_much(self, request: Request) -> bool:
-        """Count a request, unless it is a stop or a frequent one. Return whether its page exceeds
-        its limit."""
-        if request == Command("stop") or isinstance(request, Frequent):
+        """Count a request, unless it is unlimited or a frequent one. Return whether its page
+        exceeds its limit."""
+        if request in UNLIMITED or isinstance(request, Frequent):
             return False
         return self._commands.add() > MAX_COMMANDS
 

@@ -88,7 +88,15 @@ class StopLink:
 
     def _run(self) -> None:
         while not self._closing.is_set():
-            self._run_once()
+            try:
+                self._run_once()
+            except OSError as error:
+                # The process could not be started, or ended before it read its configuration.
+                print(
+                    f"the process that serves the page's STOP has failed ({error}) and is started "
+                    f"again after {RESTART_PAUSE_S} s; until then use the wired emergency stop",
+                    file=sys.stderr,
+                )
             self.ready.clear()
             self._closing.wait(RESTART_PAUSE_S)
 
@@ -105,11 +113,15 @@ class StopLink:
             os.write(process.stdin.fileno(), json.dumps(configuration).encode() + b"\n")
             os.set_blocking(process.stdin.fileno(), False)
             with self._lock:
+                if self._closing.is_set():  # close() has not seen this process
+                    return
                 self._process = process
-            for line in process.stdout:
-                self._receive(json.loads(line))
-            with self._lock:
-                self._process = None
+            try:
+                for line in process.stdout:
+                    self._receive(json.loads(line))
+            finally:
+                with self._lock:
+                    self._process = None
 
     def _receive(self, content: dict[str, object]) -> None:
         changed = content["held"] != self.held

@@ -35,6 +35,9 @@ def main() -> int:
     # this process.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     logging.getLogger("tornado").setLevel(logging.CRITICAL)  # malformed requests are not logged
+    # ROS may log to standard output, but the page's node must read only this process's reports.
+    reports = os.dup(sys.stdout.fileno())
+    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
     configuration = json.loads(sys.stdin.readline())
     choose_transport(pictures=False)
     enclave = ["--ros-args", "--enclave", security.enclave_of(NODE)]
@@ -48,16 +51,15 @@ def main() -> int:
     )
     publisher = node.create_publisher(Bool, configuration["topic"], LATCHED)
     try:
-        asyncio.run(_serve(configuration, lambda held: publisher.publish(Bool(data=held))))
+        asyncio.run(_serve(configuration, lambda held: publisher.publish(Bool(data=held)), reports))
     finally:
         node.destroy_node()
         rclpy.try_shutdown()
     return 0
 
 
-async def _serve(configuration: dict[str, Any], publish: Any) -> None:
+async def _serve(configuration: dict[str, Any], publish: Any, output: int) -> None:
     loop = asyncio.get_running_loop()
-    output = sys.stdout.fileno()
 
     def report(held: bool, who: str) -> None:
         # A parent process that does not read may miss this change, but must not block the stop.

@@ -14,6 +14,7 @@ import asyncio
 import json
 import time
 from collections.abc import Callable
+from functools import partial
 from http.client import responses
 from typing import Any
 
@@ -51,13 +52,15 @@ class StopLevel:
     def stop(self, who: str) -> None:
         """Hold the stop. A stop that is already held is published again, because the actors may
         have been reset."""
-        self.held = True
+        newly_held, self.held = not self.held, True
         wait = self._published_at + REPEAT_PERIOD_S - time.monotonic()
         if wait <= 0:
             self._publish_now()
             self._report(True, who)
         elif self._repeat is None:
-            self._repeat = asyncio.get_running_loop().call_later(wait, self._publish_again)
+            # The page sends each stop on two connections, but the node must log it only once.
+            again = partial(self._publish_again, who if newly_held else "")
+            self._repeat = asyncio.get_running_loop().call_later(wait, again)
 
     def release(self) -> None:
         """Release the stop at a person's request."""
@@ -68,9 +71,10 @@ class StopLevel:
         self._publish_now()
         self._report(False, "")
 
-    def _publish_again(self) -> None:
+    def _publish_again(self, who: str) -> None:
         self._repeat = None
         self._publish_now()
+        self._report(True, who)
 
     def _publish_now(self) -> None:
         self._publish(self.held)

@@ -311,7 +311,7 @@ class RunRecorder(CellNode[Parameters]):
         """Report the current recording and any error that prevents it."""
         recording = self._recording
         values: dict[str, object] = {
-            "folder": os.path.abspath(self._folder),
+            "folder": str(self._run_parent),
             "recording": recording.folder if recording is not None else "",
             "runs": self._runs,
             "error code": ErrorCode.RECORDING_FAILED if self._error else ErrorCode.NONE,
@@ -324,6 +324,11 @@ class RunRecorder(CellNode[Parameters]):
             values["error code"] = ErrorCode.OTHER_VERSION
             return DiagnosticStatus.WARN, warning, values
         return DiagnosticStatus.OK, "ok", values
+
+    @property
+    def _run_parent(self) -> Path:
+        """Folder in which the folder of the next run is created."""
+        return Path(os.path.abspath(os.path.expanduser(self._folder)))
 
     # Reception: the executor's thread
 
@@ -436,7 +441,7 @@ class RunRecorder(CellNode[Parameters]):
             name = self._name or run_name(began, self.get_namespace(), plan.goal)
         this_run = {"began": began, "refused": refused, "arrangement": self._arranging}
         text = serialize_message(String(data=json.dumps(self._notes | this_run)))
-        folder = Path(self._folder).expanduser().absolute()
+        folder = self._run_parent
         several = self._arranging
         # Messages that are taken from the buffer while no folder is open are lost, so the worker
         # opens the folder before the buffer contains messages to write.
@@ -491,6 +496,9 @@ class RunRecorder(CellNode[Parameters]):
             check_disk_space(recording.folder, MEGABYTE * self.settings.least_free / 2)
         except (OSError, CannotRecord) as error:
             self._recording = None
+            self._finish(recording)
+            self._announce(recording, pictures=False)
+            # Reported last, because /diagnostics shows the last failure.
             self._complain(f"recording to {recording.folder} was stopped: {error}")
 
     def _close(self, rest: list[ReceivedMessage], pictures: bool) -> None:
@@ -498,17 +506,20 @@ class RunRecorder(CellNode[Parameters]):
         recording, self._recording = self._recording, None
         if recording is None:
             return
-        try:
-            recording.close()
-        except OSError as error:
-            self._complain(f"the bag in {recording.folder} was not closed: {error}")
-        # The tables are written immediately. Drawing takes seconds, during which the next goal may
-        # start.
-        self._write_report(recording, pictures=False)
+        self._finish(recording)
         if pictures and self._reporter is not None:
             self._reporter.submit(lambda: self._announce(recording, pictures=True))
         else:
             self._announce(recording, pictures=False)
+
+    def _finish(self, recording: Recording) -> None:
+        """Close the bag and write the tables. The tables are written immediately, but drawing takes
+        seconds, during which the next goal may start."""
+        try:
+            recording.close()
+        except OSError as error:
+            self._complain(f"the bag in {recording.folder} was not closed: {error}")
+        self._write_report(recording, pictures=False)
 
     def _write_report(self, recording: Recording, pictures: bool) -> None:
         try:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from urllib.parse import parse_qs, urlsplit
 
 import cv2
 import numpy as np
@@ -230,6 +231,14 @@ def test_the_token_is_in_the_url_fragment_that_browsers_do_not_send() -> None:
     assert urls("::1", 80, "") == ["http://[::1]:80/"]
     assert urls("192.168.1.5", 8010, "abc") == ["http://192.168.1.5:8010/#token=abc"]
     assert all(url.endswith(":8010/#token=abc") for url in urls("0.0.0.0", 8010, "abc"))
+
+
+@given(st.text(st.characters(codec="utf-8"), min_size=1))
+def test_the_page_reads_the_same_token_from_the_url(token: str) -> None:
+    (url,) = urls("localhost", 8010, token)
+    assert url.isascii() and url.isprintable() and " " not in url
+    fields = parse_qs(urlsplit(url).fragment, strict_parsing=True)  # as URLSearchParams in page.js
+    assert fields == {"token": [token]}
 
 
 # ---- the goal preview on the image

@@ -174,8 +174,9 @@ def test_a_foreign_host_name_gets_no_file(site: Site) -> None:
         ({"Origin": "null"}, "null may not connect"),
         ({"Origin": ""}, "without an Origin"),
         ({"Host": "evil.example", "Origin": "http://evil.example"}, "not served under the name"),
+        ({"Origin": "http://["}, "http://[ may not connect"),
     ],
-    ids=["other site", "sandbox", "no origin", "rebound name"],
+    ids=["other site", "sandbox", "no origin", "rebound name", "malformed"],
 )
 def test_another_web_site_cannot_open_a_socket(
     site: Site, headers: dict[str, str], words: str
@@ -416,6 +417,19 @@ def test_a_run_is_downloaded_and_its_report_read_with_the_key_of_an_open_page(
     asyncio.run(scenario())
 
 
+def test_a_key_that_is_not_ascii_is_refused(site: Site) -> None:
+    async def scenario() -> None:
+        async with site.page({}) as page:
+            await read(page)
+            reader, writer = await asyncio.open_connection("127.0.0.1", site.port)
+            path = "/runs/" + "\u00e9" * 22 + "/2026-run/run.zip"
+            writer.write(f"GET {path} HTTP/1.1\r\nHost: {site.host}\r\n\r\n".encode("latin-1"))
+            assert b" 404 " in await asyncio.wait_for(reader.readline(), TIMEOUT_S)
+            writer.close()
+
+    asyncio.run(scenario())
+
+
 def test_only_the_recorders_own_folders_are_runs(tmp_path: Path) -> None:
     runs = Runs(tmp_path / "runs")
     assert runs.rows() == []
@@ -468,6 +482,53 @@ def test_the_list_is_valid_json_for_any_summary(tmp_path: Path, key: str, value:
     assert len(json.dumps(Runs(tmp_path).rows(), allow_nan=False)) < 2000
 
 
+@pytest.mark.parametrize(
+    "content",
+    [
+        {"goal": [0.0]},
+        {"end": [0.0]},
+        {"goal": [], "end": []},
+        {"goal": {"x": 0.0}},
+        {"goal": "here"},
+        {"end": 7},
+    ],
+)
+def test_a_damaged_arrangement_is_listed_as_unreadable(
+    tmp_path: Path, content: dict[str, object]
+) -> None:
+    run = tmp_path / "run"
+    run.mkdir()
+    one = {"goal": [0.0, 0.0, 0.0], "end": [0.0, 0.0, 0.0], **content}
+    summary = {"run": {"began": 1.0, "objects": [one]}, "taps": 1, "error_msg": "", "reached": True}
+    (run / "arrangement.json").write_text(json.dumps(summary))
+    (row,) = Runs(tmp_path).rows()
+    assert (row["name"], row["outcome"]) == ("run", "unreadable")
+
+
+@pytest.mark.parametrize("summary", [[], 7, "text", {"run": []}, {"run": {"objects": [[]]}}])
+def test_an_arrangement_of_another_structure_is_listed_as_unreadable(
+    tmp_path: Path, summary: object
+) -> None:
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "arrangement.json").write_text(json.dumps(summary))
+    (row,) = Runs(tmp_path).rows()
+    assert row["outcome"] == "unreadable"
+
+
+@pytest.mark.parametrize("year", [1970, 2200])
+def test_a_run_with_files_of_any_date_is_packed(tmp_path: Path, year: int) -> None:
+    run = make_run(tmp_path, "run")
+    date = (year - 1970) * 365.25 * 86400
+    os.utime(run / "summary.json", (date, date))
+    archive = Runs(tmp_path).archive("run")
+    assert archive is not None
+    try:
+        with zipfile.ZipFile(archive) as packed:
+            assert len(packed.namelist()) == 3
+    finally:
+        archive.unlink()
+
+
 # ---- the separate port of STOP
 
 
@@ -491,6 +552,25 @@ def test_a_page_that_sends_too_many_requests_is_refused_except_for_stop(site: Si
 
     asyncio.run(scenario())
     assert len(site.backend.requests) <= 2 * server.MAX_COMMANDS + 1
+
+
+def test_the_enabling_key_and_cancel_do_not_count_as_commands(
+    site: Site, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(server, "MAX_COMMANDS", 0)
+    sent = ["enable"] * 12 + ["disable", "cancel", "stop"] * 4
+
+    async def scenario() -> None:
+        async with site.page({}) as page:
+            await read(page)
+            for name in (*sent, "home"):
+                await page.write_message(json.dumps({"do": name}))
+            answers = [await read(page) for _ in (*sent, "home")]
+            (refused,) = (answer for answer in answers if not answer["ok"])
+            assert "commands per second" in refused["text"]
+
+    asyncio.run(scenario())
+    assert site.backend.requests == [Command(name) for name in sent]
 
 
 def test_a_port_in_use_is_an_immediate_error(site: Site) -> None:

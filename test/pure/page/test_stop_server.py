@@ -90,6 +90,24 @@ def test_a_stop_that_is_held_is_published_again_but_not_without_limit() -> None:
     play(scenario)
 
 
+def test_a_stop_soon_after_a_release_is_reported_once() -> None:
+    async def scenario(site: Site) -> None:
+        site.level.stop("somebody")
+        site.level.release()
+        site.level.stop("another")
+        site.level.stop("another")  # the same press on the page's other connection
+        await asyncio.sleep(3 * stop_server.REPEAT_PERIOD_S)
+        assert site.published == [True, False, True]
+        assert site.reported == [(True, "somebody"), (False, ""), (True, "another")]
+        site.level.stop("another")
+        site.level.stop("another")
+        await asyncio.sleep(3 * stop_server.REPEAT_PERIOD_S)
+        # A repeated stop that is already held is reported without its requester.
+        assert site.reported[3:] == [(True, "another"), (True, "")]
+
+    play(scenario)
+
+
 def test_a_stop_of_a_crashed_process_is_held_by_the_next() -> None:
     published: list[bool] = []
     stop_server.StopLevel(published.append, lambda *_: None, held=True)
@@ -101,6 +119,7 @@ def test_a_stop_of_a_crashed_process_is_held_by_the_next() -> None:
     [
         ("http://evil.example", ""),
         ("null", ""),
+        ("http://[", ""),
         ("http://127.0.0.1:9999", ""),
         ("http://127.0.0.1", ""),
         ("http://localhost:8010", ""),

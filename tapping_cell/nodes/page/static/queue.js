@@ -1,14 +1,20 @@
 "use strict";
 // Queue of goals, named goals, and settings that may be changed while the cell runs.
 
+const CHOICE_PATIENCE_MS = 2000;  // time for which a choice is shown although the planner does not report it
+
 class Settings {
   constructor() {
-    this.asked = null;  // new value of the check box, until the planner reports the same value
+    this.asked = null;   // new value of the check box, until the planner reports the same value
+    this.chosen = null;  // likewise the new planning method
     this.on("ask", "change", (box) => {
       this.asked = { value: box.checked, at: performance.now() };
       request("set_ask", { ask: box.checked }, "settings");
     });
-    this.on("planner", "change", (list) => request("set_planner", { planner: list.value }, "settings"));
+    this.on("planner", "change", (list) => {
+      this.chosen = { value: list.value, at: performance.now() };
+      request("set_planner", { planner: list.value }, "settings");
+    });
     this.on("queue-run", "click", () => request("run_queue", {}, "queue"));
     this.on("queue-hold", "click", () => request("hold_queue", {}, "queue"));
     this.on("enqueue", "click", () => {
@@ -46,7 +52,7 @@ class Settings {
     const list = $("planner"), kept = list.value;
     list.replaceChildren(...message.planners.map((name) => new Option(
       name === message.planner ? `${name} (this cell's default)` : name, name)));
-    list.value = kept || message.planner;
+    list.value = kept;  // the planner's present method follows with the state
     $("tolerance-position").placeholder = `${message.tolerance[0]}`;
     $("tolerance-angle").placeholder = `${message.tolerance[1]}`;
     setText($("settings-answer"), "");
@@ -70,13 +76,18 @@ class Settings {
     return { value, trouble };
   }
 
+  // Returns the choice while it is recent and the planner reports another value, otherwise null.
+  pending(choice, reported) {
+    return choice && performance.now() - choice.at < CHOICE_PATIENCE_MS && choice.value !== reported ? choice : null;
+  }
+
   render(state, connected) {
-    const ask = $("ask");
-    const waiting = this.asked && performance.now() - this.asked.at < 2000 && this.asked.value !== state.plan.ask;
-    if (!waiting) {
-      this.asked = null;
-      ask.checked = state.plan.ask;
-    }
+    this.asked = this.pending(this.asked, state.plan.ask);
+    if (!this.asked) $("ask").checked = state.plan.ask;
+    // An unknown method (null) leaves the list without a selection.
+    this.chosen = this.pending(this.chosen, state.planner);
+    const list = $("planner"), method = state.planner || "";
+    if (!this.chosen && list.value !== method) list.value = method;
     for (const id of ["ask", "planner", "enqueue", "keep"]) $(id).disabled = !connected;
     this.renderQueue(state.queue, connected);
     this.renderNames(state.named);
