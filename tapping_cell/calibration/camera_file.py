@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -45,7 +46,7 @@ def camera_info_yaml(model: CameraModel, name: str, record: Provenance) -> str:
     lines = [
         f"image_width: {model.width}",
         f"image_height: {model.height}",
-        f"camera_name: {name}",
+        f"camera_name: {json.dumps(name, ensure_ascii=False)}",
         *_matrix("camera_matrix", model.matrix),
         f"distortion_model: {model.distortion_model}",
         *_matrix("distortion_coefficients", np.array([model.distortion])),

@@ -15,7 +15,8 @@ class GrowingCsv:
     ``rows`` is the number of rows in the file.
 
     Raises:
-        RecordError: the file exists and ``resume`` is False, or the file has other columns.
+        RecordError: the file exists and ``resume`` is False, or the file has other columns or is
+            not UTF-8 text.
     """
 
     def __init__(self, path: Path, header: Sequence[str], resume: bool) -> None:
@@ -32,7 +33,13 @@ class GrowingCsv:
                 f"{path} exists already and is not overwritten; give --resume to continue it, "
                 "or another name"
             )
-        text = path.read_text(encoding="utf-8-sig")
+        try:
+            text = path.read_text(encoding="utf-8-sig")
+        except UnicodeDecodeError as error:
+            raise RecordError(
+                f"{path}: cannot be continued, because it is not UTF-8 text; save it as CSV in "
+                "UTF-8, or give another name"
+            ) from error
         first, *rows = [
             row.strip() for row in text.splitlines() if row.strip() and not row.startswith("#")
         ] or [""]

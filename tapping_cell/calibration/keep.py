@@ -114,13 +114,35 @@ def write_kept(output: Output, text: str, new: Provenance, read: Callable[[Path]
         if output.force:
             os.replace(draft, output.path)
         else:
-            # Mode x does not replace a file that was created in the meantime.
-            with output.path.open("x", encoding="utf-8") as file:
-                file.write(text)
+            _move_to_new(draft, output.path)
     except FileExistsError as error:
-        raise KeptFile(f"{output.path} exists already and was not replaced") from error
+        raise KeptFile(
+            f"{output.path} exists already and was not replaced; give another --output, or "
+            "--force to replace it"
+        ) from error
     finally:
         draft.unlink(missing_ok=True)
+
+
+def _move_to_new(draft: Path, path: Path) -> None:
+    """Give the complete file ``draft`` the name ``path``; do not replace a file that was created in
+    the meantime.
+
+    Raises:
+        FileExistsError: ``path`` exists.
+    """
+    try:
+        os.link(draft, path)
+    except FileExistsError:
+        raise
+    except OSError:
+        # The file system has no hard links. Reserve the name, then replace the empty file.
+        path.touch(exist_ok=False)
+        try:
+            os.replace(draft, path)
+        except OSError:
+            path.unlink(missing_ok=True)
+            raise
 
 
 def fingerprints(paths: Iterable[Path]) -> tuple[str, ...]:

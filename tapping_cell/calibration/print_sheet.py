@@ -220,7 +220,7 @@ def object_page(
     be cut out.
 
     Raises:
-        SheetError: the markers do not fit.
+        SheetError: the markers do not fit, or their size is not above 0.
     """
     texts = [
         f"{dictionary} id {number}, {size * 1e3:g} mm; this edge is its bottom" for number in ids
@@ -258,7 +258,13 @@ def _cut_page(
     texts: Sequence[str],
     what: str,
 ) -> Page:
-    """Lay out markers in rows of squares to cut out."""
+    """Lay out markers in rows of squares to cut out.
+
+    Raises:
+        SheetError: the markers do not fit, or their size is not above 0.
+    """
+    if not size > 0.0:
+        raise SheetError(f"the side of a marker is {size * 1e3:g} mm, but must be above 0 mm")
     cell = size * (1 + 2.5 * _QUIET)
     pitch = cell + 0.008
     across = int((paper[0] - 2 * _MARGIN + 0.008) / pitch)

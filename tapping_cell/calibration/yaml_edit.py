@@ -62,6 +62,19 @@ def with_value(text: str, name: str, value: str) -> str:
     return text[: node.start_mark.index] + value + text[node.end_mark.index :]
 
 
+def with_items(text: str, name: str, values: Sequence[str]) -> str:
+    """Replace the items of the list at the key ``name`` by as many YAML ``values``. Return the text
+    unchanged if there is no such list."""
+    node = _child(yaml.compose(text), name)
+    if not isinstance(node, yaml.SequenceNode):
+        return text
+    changes = [
+        (item.start_mark.index, item.end_mark.index, value)
+        for item, value in zip(node.value, values, strict=True)
+    ]
+    return _replaced(text, changes)
+
+
 def _child(node: yaml.Node | None, name: str) -> yaml.Node | None:
     if not isinstance(node, yaml.MappingNode):
         return None

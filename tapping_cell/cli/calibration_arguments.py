@@ -8,6 +8,7 @@ from pathlib import Path
 
 from tapping_cell.calibration.csv_table import RecordError
 from tapping_cell.calibration.keep import Output, refuse_existing
+from tapping_cell.cli import argument_types
 
 
 def add_output_arguments(
@@ -62,10 +63,8 @@ def add_recording_arguments(
     parser.add_argument(
         "--resume", action="store_true", help="continue an existing record (only with --record)"
     )
-    parser.add_argument(
-        "--namespace",
-        default="",
-        help="namespace of the running cell's nodes (only with --record; default: none)",
+    argument_types.add_namespace(
+        parser, "namespace of the running cell's nodes (only with --record; default: none)"
     )
     parser.add_argument(
         number,

@@ -14,6 +14,7 @@ import argparse
 import dataclasses
 import importlib
 import json
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -158,7 +159,9 @@ def _check_named(document: Mapping[Any, Any], path: Path, found: Findings) -> li
         (document.get("object"), "object"),
     ]
     further = document.get("objects")
-    files += [(entry, "object") for entry in further] if isinstance(further, list) else []
+    if isinstance(further, list):
+        # The nodes expand ~ in these paths only. Path.expanduser would fail for an unknown user.
+        files += [(os.path.expanduser(e), "object") for e in further if isinstance(e, str)]
     named: list[Findings] = []
     for name, kind in files:
         if isinstance(name, str):
@@ -218,8 +221,12 @@ def check_parameters(document: Any, path: Path) -> list[str]:
             f"{path}: is not a ROS parameter file, which contains node names with "
             "'ros__parameters' under each"
         ]
-    found: list[str] = []
-    for name, values in _by_node(document):
+    nodes, misplaced = _by_node(document)
+    found = [
+        f"{path}: {name}: key '{key}' must be under 'ros__parameters'; correct its indentation"
+        for name, key in misplaced
+    ]
+    for name, values in nodes:
         node = name.rsplit("/", 1)[-1]
         source = f"{path}: {name}"
         if node not in (*NODES, "**", "*"):
@@ -236,13 +243,26 @@ def check_parameters(document: Any, path: Path) -> list[str]:
     return found
 
 
-def _by_node(document: Mapping[Any, Any], above: str = "") -> list[tuple[str, Any]]:
-    """Return (node name with its namespace, parameters) for each node in a document."""
-    found = []
+def _by_node(
+    document: Mapping[Any, Any], above: str = ""
+) -> tuple[list[tuple[str, Any]], list[tuple[str, str]]]:
+    """Return (node name with its namespace, parameters) for each node in a document, and (name,
+    key) for each key below a name that is neither ``ros__parameters`` nor another name."""
+    nodes: list[tuple[str, Any]] = []
+    misplaced: list[tuple[str, str]] = []
     for name, value in document.items():
         place = f"{above}/{str(name).strip('/')}" if above else str(name)
         if "ros__parameters" in value:
-            found.append((place, value["ros__parameters"]))
-        inner = {key: v for key, v in value.items() if key != "ros__parameters"}
-        found += _by_node(inner, place)
-    return found
+            nodes.append((place, value["ros__parameters"]))
+        inner = {}
+        for key, entry in value.items():
+            if key == "ros__parameters":
+                continue
+            if isinstance(entry, Mapping):
+                inner[key] = entry
+            else:
+                misplaced.append((place, str(key)))
+        further_nodes, further_misplaced = _by_node(inner, place)
+        nodes += further_nodes
+        misplaced += further_misplaced
+    return nodes, misplaced

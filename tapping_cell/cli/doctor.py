@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
@@ -250,8 +251,10 @@ def _store(
 
 
 def _confirm(finding: Finding) -> bool:
+    # The prompt of input() would go to stdout, into the output of --json.
+    print(f"{finding.sentence}. Store it now? [y/N] ", end="", file=sys.stderr, flush=True)
     try:
-        answer = input(f"{finding.sentence}. Store it now? [y/N] ")
+        answer = input()
     except EOFError:
         return False
     return answer.strip().lower() in ("y", "yes")

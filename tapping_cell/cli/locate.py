@@ -15,6 +15,7 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import os
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -26,6 +27,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tapping_cell.cli.errors import print_error
+from tapping_cell.cli.image_output import (
+    distinct_names,
+    picture_files,
+    refuse_replacing,
+    write_image,
+)
 from tapping_cell.configuration.files import shared_folder
 from tapping_cell.configuration.objects import (
     MarkerSection,
@@ -110,7 +117,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--annotate",
         type=Path,
         metavar="DIR",
-        help="folder for copies of the images with the results drawn in",
+        help="folder for copies of the images with the results drawn in; not a folder of the "
+        "images",
     )
     parser.add_argument(
         "--json", action="store_true", help="print a JSON list with one result per image"
@@ -128,6 +136,7 @@ def run(arguments: argparse.Namespace) -> int:
         for path, seen in zip(paths, objects, strict=True):
             refuse_reference(path, seen, table)
         search = Search(camera, table, [seen.seen() for seen in objects])
+        pictures = annotated_files(arguments.annotate, arguments.images, objects)
     except ValueError as error:
         print_error(str(error))
         return 2
@@ -140,7 +149,7 @@ def run(arguments: argparse.Namespace) -> int:
             continue
         if not arguments.sequence:
             search.reset()
-        for seen, tracker in zip(objects, search.trackers, strict=True):
+        for index, (seen, tracker) in enumerate(zip(objects, search.trackers, strict=True)):
             begin = time.perf_counter()
             observation = tracker.update(image, number * FRAME_PERIOD)
             milliseconds = (time.perf_counter() - begin) * 1e3
@@ -149,11 +158,11 @@ def run(arguments: argparse.Namespace) -> int:
                 continue
             view, rim = tracker.view, seen.rim()
             picture = annotate(image, view, observation, rim, seen.height, references=table)
-            name = path.stem if len(objects) == 1 else f"{path.stem}_{seen.name}"
             try:
-                write_picture(arguments.annotate, name, picture)
+                arguments.annotate.mkdir(parents=True, exist_ok=True)
+                write_image(pictures[number * len(objects) + index], picture)
             except OSError as error:
-                print_error(f"{arguments.annotate}: cannot be written: {error}")
+                print_error(str(error))
                 return 2
     if arguments.json:
         print(json.dumps(results, indent=1))
@@ -286,23 +295,33 @@ def unread(path: Path, name: str, sentence: str) -> dict[str, Any]:
     }
 
 
-def write_picture(folder: Path, name: str, picture: NDArray[np.uint8]) -> None:
-    """Write an annotated image as PNG.
+def annotated_files(
+    folder: Path | None, images: Sequence[Path], objects: Sequence[SeenObject]
+) -> list[Path]:
+    """Return the file of each annotated copy: for every image, one per object. Without a folder,
+    return an empty list.
 
     Raises:
-        OSError: the folder or the file cannot be written.
+        KeptFile: an annotated copy would replace an input image.
     """
-    folder.mkdir(parents=True, exist_ok=True)
-    target = folder / f"{name}.png"
-    if not cv2.imwrite(str(target), picture):
-        raise OSError(f"{target} was not written")
+    if folder is None:
+        return []
+    names = distinct_names(images)
+    stems = [os.path.splitext(names[image])[0] for image in images]
+    if len(objects) > 1:
+        stems = [f"{stem}_{seen.name}" for stem in stems for seen in objects]
+    files = picture_files(folder, stems)
+    refuse_replacing(folder, files, images)
+    return files
 
 
 def table_of(results: list[dict[str, Any]]) -> str:
     """Format the results as text lines."""
     several = len({entry["object"] for entry in results}) > 1
+    shown_as = distinct_names(Path(entry["image"]) for entry in results)
     names = [
-        Path(entry["image"]).name + (f" {entry['object']}" if several else "") for entry in results
+        shown_as[Path(entry["image"])] + (f" {entry['object']}" if several else "")
+        for entry in results
     ]
     width = max(5, *(len(name) for name in names))
     lines = [

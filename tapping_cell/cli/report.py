@@ -5,7 +5,7 @@ folder, summary.json, taps.csv, cell.png and report.html are rebuilt from its ba
 missing, only cell.png and report.html are rebuilt, from summary.json and taps.csv. For an
 arrangement of several objects, arrangement.json and report.html are rebuilt from its bag. If that
 bag is missing, only report.html is rebuilt, from arrangement.json. For several runs, a page
-comparison.html is also written.
+comparison.html is also written. If several paths are given, those that are no runs are skipped.
 
     python -m tapping_cell report runs/2026-11-21_15-10-00_to_20_10_0
     python -m tapping_cell report runs/* --output comparison
@@ -75,7 +75,9 @@ def run(arguments: argparse.Namespace) -> int:
     for path in paths:
         if several and no_run(path):
             skipped += 1
-            console.print(f"{path} is not a run: skipped", highlight=False, markup=False)
+            console.print(
+                f"{path} is not a run: skipped", highlight=False, markup=False, soft_wrap=True
+            )
             continue
         try:
             if is_arrangement(path):
@@ -109,8 +111,10 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def no_run(path: Path) -> bool:
-    """Return whether a folder contains neither a bag nor a summary, such as the folder of nodes'
-    logs."""
+    """Return whether a path is a file that is no bag, such as an earlier comparison, or a folder
+    that contains neither a bag nor a summary, such as the folder of nodes' logs."""
+    if path.is_file():
+        return path.suffix != ".mcap"
     return _is_run_folder(path) and not any(
         (path / name).exists() for name in (BAG, SUMMARY, ARRANGEMENT)
     )

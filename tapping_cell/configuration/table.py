@@ -127,9 +127,10 @@ def _entry(mapping: dict[str, Any], key: str, within: str = "") -> Any:
 
 def _pixels(document: dict[str, Any], key: str) -> int:
     value = _entry(document, key)
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or value != int(value):
+    number = _number(value, key)
+    if not number.is_integer():
         raise ValueError(f"key '{key}' is {value!r}, but must be a whole number of pixels")
-    return int(value)
+    return int(number)
 
 
 def _numbers(document: dict[str, Any], key: str) -> list[float]:
@@ -140,10 +141,22 @@ def _numbers(document: dict[str, Any], key: str) -> list[float]:
     data = _entry(matrix, "data", f"{key}.")
     if not isinstance(data, list):
         raise ValueError(f"key '{key}.data' is {data!r}, but must be a list of numbers")
-    for index, value in enumerate(data):
-        if isinstance(value, bool) or not isinstance(value, (int, float)):
-            raise ValueError(f"key '{key}.data[{index}]' is {value!r}, but must be a number")
-    return [float(value) for value in data]
+    return [_number(value, f"{key}.data[{index}]") for index, value in enumerate(data)]
+
+
+def _number(value: Any, key: str) -> float:
+    """Return the value of a key as a finite number."""
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise ValueError(f"key '{key}' is {value!r}, but must be a number")
+    try:
+        number = float(value)
+    except OverflowError as error:
+        raise ValueError(
+            f"key '{key}' is an integer beyond +-1.8e308, the limit of numbers; correct it"
+        ) from error
+    if not math.isfinite(number):
+        raise ValueError(f"key '{key}' is {value}, but must be a finite number")
+    return number
 
 
 def _deviations(document: dict[str, Any]) -> tuple[float, ...]:
@@ -156,4 +169,6 @@ def _deviations(document: dict[str, Any]) -> tuple[float, ...]:
     if not isinstance(stated, dict):
         return ()
     names = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2")
-    return tuple(float(stated.get(name, 0.0)) for name in names) if "fx" in stated else ()
+    if "fx" not in stated:
+        return ()
+    return tuple(_number(stated.get(name, 0.0), f"calibration.deviations.{name}") for name in names)

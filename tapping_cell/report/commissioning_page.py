@@ -11,12 +11,20 @@ from tapping_cell.report.rendering import render
 PAGE = "commissioning.html"
 
 
-def write_page(folder: Path, titles: Sequence[tuple[str, str]], proofs: Mapping[str, Any]) -> Path:
-    """Write ``commissioning.html``; ``titles`` are name and title of every step, in order."""
+def write_page(
+    folder: Path,
+    titles: Sequence[tuple[str, str]],
+    proofs: Mapping[str, Any],
+    *,
+    hardware: bool,
+) -> Path:
+    """Write ``commissioning.html``; ``titles`` are name and title of every step, in order.
+    ``hardware``: whether the steps ran on hardware."""
     text = render(
         "commissioning.html",
         steps=titles,
         proofs=proofs,
+        cell="cell" if hardware else "simulated cell",
         done=sum(name in proofs for name, _ in titles),
         seconds=sum(float(proof["seconds"]) for proof in proofs.values()),
     )

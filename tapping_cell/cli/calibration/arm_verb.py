@@ -37,7 +37,7 @@ from tapping_cell.calibration.arm import (
     ArmRecord,
     calibrate_arm,
 )
-from tapping_cell.calibration.cell_file import calibrated_cell
+from tapping_cell.calibration.cell_file import calibrated_cell, load_cell_with_objects
 from tapping_cell.calibration.csv_table import CsvTable, read_csv
 from tapping_cell.calibration.keep import fingerprints, now, write_kept
 from tapping_cell.cli.calibration_arguments import (
@@ -46,7 +46,7 @@ from tapping_cell.cli.calibration_arguments import (
     check_count,
     output_of,
 )
-from tapping_cell.configuration.cell import Cell, load_cell
+from tapping_cell.configuration.cell import Cell
 from tapping_cell.configuration.provenance import Provenance
 from tapping_cell.se2 import Pose
 
@@ -79,7 +79,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the calibration. Return 0 if the file was written, 130 if the recording was
     interrupted."""
     output = output_of(arguments, ("arm", "calibration"))
-    cell = load_cell(arguments.cell)
+    cell = load_cell_with_objects(arguments.cell)
     if arguments.record_first:
         check_count("--poses", arguments.poses, MIN_POSES)
         from tapping_cell.cli.calibration.arm_recording import record as make_record
@@ -91,7 +91,7 @@ def run(arguments: argparse.Namespace) -> int:
     values = file_values(result, cell, arguments.marker_on_tip)
     record = _provenance(result, table, arguments)
     text = calibrated_cell(cell, "arm", values, record, output.path)
-    write_kept(output, text, record, load_cell)
+    write_kept(output, text, record, load_cell_with_objects)
     found = report(result, values, table, output.path)
     print(json.dumps(found, indent=1) if arguments.json else "\n".join(lines(found)))
     return 0

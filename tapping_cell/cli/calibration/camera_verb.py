@@ -15,6 +15,7 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import os
 import re
 from collections import Counter
 from pathlib import Path
@@ -38,9 +39,17 @@ from tapping_cell.calibration.keep import write_kept
 from tapping_cell.calibration.target import Target, TargetError, TargetView, find_target
 from tapping_cell.calibration.target_hint import hint
 from tapping_cell.cli.calibration_arguments import add_output_arguments, output_of
+from tapping_cell.cli.image_output import (
+    distinct_names,
+    picture_files,
+    refuse_replacing,
+    write_image,
+)
 from tapping_cell.configuration.table import load_camera_model
 
 IMAGE_ENDINGS = {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm"}
+COVERAGE = "coverage.png"
+"""File in the folder of ``--annotate`` that shows the coverage of the image."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -101,7 +110,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--annotate",
         type=Path,
         metavar="DIR",
-        help="folder for plots of the errors and the image coverage",
+        help="folder for plots of the errors and the image coverage; not a folder of the images",
     )
     add_output_arguments(parser, "camera_info.yaml")
 
@@ -119,12 +128,13 @@ def run(arguments: argparse.Namespace) -> int:
     output = output_of(arguments)
     target = _target(arguments)
     paths = image_files(arguments.images)
+    pictures = None if arguments.annotate is None else annotated_files(arguments.annotate, paths)
     views, size, unseen = _find(paths, target, quiet=arguments.json)
     model = None if arguments.model == "auto" else arguments.model
     result = calibrate_camera(views, target, size, model, unseen)
     record = camera_record(result, target.describe(), paths)
-    if arguments.annotate is not None:
-        write_pictures(arguments.annotate, paths, result)
+    if pictures is not None:
+        write_pictures(pictures, result, arguments.annotate / COVERAGE)
     text = camera_info_yaml(result.model, arguments.name, record)
     write_kept(output, text, record, load_camera_model)
     if arguments.json:
@@ -156,7 +166,8 @@ def _target(arguments: argparse.Namespace) -> Target:
 
 
 def image_files(paths: list[Path]) -> list[Path]:
-    """Return the image files; each folder is replaced by the images in it, sorted by name.
+    """Return the image files, each of them once; each folder is replaced by the images in it,
+    sorted by name.
 
     Raises:
         CalibrationRefused: a file does not exist, or a folder contains no image.
@@ -172,7 +183,10 @@ def image_files(paths: list[Path]) -> list[Path]:
             found.append(path)
         else:
             raise CalibrationRefused(f"{path}: there is no such file")
-    return list(dict.fromkeys(found))
+    different: dict[Path, Path] = {}
+    for path in found:
+        different.setdefault(path.resolve(), path)
+    return list(different.values())
 
 
 def read_grey(path: Path) -> NDArray[np.uint8] | None:
@@ -182,7 +196,8 @@ def read_grey(path: Path) -> NDArray[np.uint8] | None:
 
 
 def one_size(sizes: dict[str, tuple[int, int]]) -> tuple[int, int]:
-    """Return the common size (width, height) of all images.
+    """Return the common size (width, height) of all images. The keys of ``sizes`` are the names of
+    the images.
 
     Raises:
         CalibrationRefused: the sizes differ, or there is no image.
@@ -207,14 +222,15 @@ def _find(
     """Return the detected views of the target, the image size (width, height), and the rejected
     files with the reasons."""
     images = {}
+    names = distinct_names(paths)
     unseen: list[Rejected] = []
     for path in paths:
         image = read_grey(path)
         if image is None:
-            unseen.append(Rejected(path.name, "cannot be read as an image"))
+            unseen.append(Rejected(names[path], "cannot be read as an image"))
         else:
             images[path] = (image.shape[1], image.shape[0])
-    size = one_size({path.name: shape for path, shape in images.items()})
+    size = one_size({names[path]: shape for path, shape in images.items()})
     views = []
     console = Console(stderr=True)
     hidden = quiet or not console.is_terminal
@@ -222,9 +238,9 @@ def _find(
         image = read_grey(path)
         if image is None:
             continue  # the file was deleted after it had been listed
-        found = find_target(image, target, path.name)
+        found = find_target(image, target, names[path])
         if isinstance(found, str):
-            unseen.append(Rejected(path.name, found))
+            unseen.append(Rejected(names[path], found))
         else:
             views.append(found)
     if not views:
@@ -233,7 +249,7 @@ def _find(
             idea = hint(image, target) if image is not None else ""
             if idea:
                 raise CalibrationRefused(
-                    f"no photograph shows the {target.describe()}; in {path.name} {idea}"
+                    f"no photograph shows the {target.describe()}; in {names[path]} {idea}"
                 )
     return views, size, unseen
 
@@ -294,27 +310,43 @@ def lines(result: CameraCalibration) -> list[str]:
     return rows + [f"note: {text}" for text in result.warnings]
 
 
-def write_pictures(folder: Path, paths: list[Path], result: CameraCalibration) -> None:
-    """Write one image per view, with the corners and their errors (magnified 50 times). Also write
-    one image that shows which parts of the camera's image the views cover.
+def annotated_files(folder: Path, paths: list[Path]) -> dict[Path, Path]:
+    """Return the file of the annotated copy of each image.
 
     Raises:
-        OSError: the folder is not writable.
+        KeptFile: an annotated copy would replace an input image.
     """
-    folder.mkdir(parents=True, exist_ok=True)
-    files = {path.name: path for path in paths}
+    stems = [os.path.splitext(name)[0] for name in distinct_names(paths).values()]
+    files = picture_files(folder, stems, [Path(COVERAGE).stem])
+    refuse_replacing(folder, [*files, folder / COVERAGE], paths)
+    return dict(zip(paths, files, strict=True))
+
+
+def write_pictures(pictures: dict[Path, Path], result: CameraCalibration, coverage: Path) -> None:
+    """Write one image per view, with the corners and their errors (magnified 50 times), to the file
+    that ``pictures`` gives for the photograph. Also write the image ``coverage``, which shows which
+    parts of the camera's image the views cover.
+
+    Raises:
+        OSError: a folder or file cannot be written, or a photograph can no longer be read.
+    """
+    coverage.parent.mkdir(parents=True, exist_ok=True)
+    paths = {name: path for path, name in distinct_names(pictures).items()}
     scale = max(1, round(result.model.width / 900))
     size = (result.model.height, result.model.width, 3)
     whole = np.full(size, 255, dtype=np.uint8)
     for entry in result.views:
-        image = read_grey(files[entry.view.name])
+        path = paths[entry.view.name]
+        image = read_grey(path)
         if image is None:
-            raise OSError(f"{files[entry.view.name]} can no longer be read")
+            raise OSError(
+                f"{path} can no longer be read; keep the photographs, and repeat the command"
+            )
         picture = np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR), dtype=np.uint8)
         _draw(picture, entry, scale)
         _draw(whole, entry, scale)
-        _write(folder / f"{Path(entry.view.name).stem}.png", picture)
-    _write(folder / "coverage.png", whole)
+        write_image(pictures[path], picture)
+    write_image(coverage, whole)
 
 
 def _draw(picture: NDArray[np.uint8], entry: UsedView, scale: int) -> None:
@@ -323,8 +355,3 @@ def _draw(picture: NDArray[np.uint8], entry: UsedView, scale: int) -> None:
         cv2.circle(picture, at, 3 * scale, (40, 140, 0), scale, cv2.LINE_AA)
         end = (round(x + 50 * dx), round(y + 50 * dy))
         cv2.line(picture, at, end, (0, 0, 220), scale, cv2.LINE_AA)
-
-
-def _write(path: Path, picture: NDArray[np.uint8]) -> None:
-    if not cv2.imwrite(str(path), picture):
-        raise OSError(f"{path} was not written")

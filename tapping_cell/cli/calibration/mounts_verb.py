@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tapping_cell.calibration.camera import CalibrationRefused
-from tapping_cell.calibration.cell_file import calibrated_cell
+from tapping_cell.calibration.cell_file import calibrated_cell, load_cell_with_objects
 from tapping_cell.calibration.csv_table import RecordError, read_csv
 from tapping_cell.calibration.keep import fingerprints, now, write_kept
 from tapping_cell.calibration.mounts import (
@@ -38,7 +38,7 @@ from tapping_cell.calibration.mounts import (
 from tapping_cell.calibration.yaml_edit import numbers_text, with_entry
 from tapping_cell.cli.calibration_arguments import add_output_arguments, output_of
 from tapping_cell.cli.measured_taps import measured_taps
-from tapping_cell.configuration.cell import Cell, load_cell
+from tapping_cell.configuration.cell import Cell
 from tapping_cell.configuration.provenance import Provenance
 from tapping_cell.report.run import TapRow
 from tapping_cell.report.run_folder import SUMMARY, TAPS
@@ -69,7 +69,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Run the calibration. Return 0 if the file was written."""
     output = output_of(arguments, ("fixed_tappers", "calibration"))
-    cell = load_cell(arguments.cell, arguments.object)
+    cell = load_cell_with_objects(arguments.cell, arguments.object)
     taps = read_taps(arguments.record, cell)
     fits, too_few = fit_all(cell, taps)
     record = _provenance(fits, taps, cell)
@@ -81,7 +81,7 @@ def run(arguments: argparse.Namespace) -> int:
             "direction": numbers_text(fit.mount.theta),
         }
         text = with_entry(text, ("fixed_tappers", "tappers"), entries.index(fit.name), values)
-    write_kept(output, text, record, load_cell)
+    write_kept(output, text, record, load_cell_with_objects)
     found = report(fits, taps, output.path, entries) | {"too_few_taps": too_few}
     print(json.dumps(found, indent=1) if arguments.json else "\n".join(lines(found)))
     return 0
@@ -105,15 +105,23 @@ class Taps:
 
 
 def read_taps(paths: Sequence[Path], cell: Cell) -> Taps:
-    """Read the taps of one CSV file, or of the goals in run folders.
+    """Read the taps of one CSV file, or of the goals in run folders. Among several paths, a file
+    that is not a CSV file is left out: a pattern such as runs/* also gives runs/comparison.html.
 
     Raises:
-        RecordError: a file and folders are mixed, a run was made with another object, or there are
-            no taps.
+        RecordError: a path does not exist, a CSV file and other paths are mixed, a run was made
+            with another object, or there are no taps.
         tapping_cell.report.run_folder.RunError: a run folder is damaged.
     """
-    if all(path.is_dir() for path in paths):
-        return _taps_of_runs(paths, cell)
+    missing = next((path for path in paths if not path.exists()), None)
+    if missing is not None:
+        raise RecordError(f"{missing} does not exist; give one CSV file, or run folders")
+    folders = [path for path in paths if path.is_dir()]
+    tables = [path for path in paths if path.suffix.lower() == ".csv"]
+    if folders and not tables:
+        taps = _taps_of_runs(folders, cell)
+        others = [f"{path} is not a run folder" for path in paths if path not in folders]
+        return replace(taps, faults=(*taps.faults, *others))
     if len(paths) > 1:
         raise RecordError(f"{len(paths)} records were given; give one CSV file, or run folders")
     table = read_csv(paths[0], RECORD_COLUMNS, texts=("tapper",))

@@ -13,15 +13,19 @@ from __future__ import annotations
 
 import argparse
 import math
+import os
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from tapping_cell.calibration.camera import CalibrationRefused
 from tapping_cell.calibration.target import Target
 from tapping_cell.cli import argument_types
+from tapping_cell.cli.image_output import write_image
 from tapping_cell.configuration.files import shared_folder
 from tapping_cell.configuration.table import load_camera_model, load_reference_map
 from tapping_cell.simulation.rendered_sheet import Sheet, SheetCamera
@@ -73,12 +77,14 @@ def run(arguments: argparse.Namespace) -> int:
     """Render the photographs. Return 0.
 
     Raises:
-        CalibrationRefused: the folder already contains images.
+        CalibrationRefused: the folder is not empty, or is a file.
+        OSError: the images cannot be written.
     """
     folder: Path = arguments.output
+    if folder.exists() and not folder.is_dir():
+        raise CalibrationRefused(f"{folder} is a file: choose another name for the folder")
     if folder.exists() and any(folder.iterdir()):
         raise CalibrationRefused(f"{folder} is not empty: choose another folder")
-    folder.mkdir(parents=True, exist_ok=True)
     camera = load_camera_model(arguments.camera or shared_folder() / "camera_info.yaml")
     eye = SheetCamera(camera, arguments.seed)
     random = np.random.default_rng(arguments.seed)
@@ -88,11 +94,36 @@ def run(arguments: argparse.Namespace) -> int:
     else:
         sheet = table_sheet(load_reference_map(arguments.table or shared_folder() / "table.yaml"))
         poses = [view_of_table(random, camera, number) for number in range(arguments.count)]
-    for number, pose in enumerate(poses, start=1):
-        picture = eye.photograph(sheet, pose, noise=float(random.uniform(1.0, 3.0)), blur=0.7)
-        cv2.imwrite(str(folder / f"{arguments.what}_{number:02d}.png"), picture)
+    with _complete(folder) as draft:
+        for number, pose in enumerate(poses, start=1):
+            picture = eye.photograph(sheet, pose, noise=float(random.uniform(1.0, 3.0)), blur=0.7)
+            write_image(draft / f"{arguments.what}_{number:02d}.png", picture)
     print(f"{len(poses)} images in {folder}")
     return 0
+
+
+@contextmanager
+def _complete(folder: Path) -> Iterator[Path]:
+    """Provide a new folder for files. At the end, the files become the content of ``folder``; after
+    an error or an interruption they are deleted. So ``folder`` never has only a part of them.
+
+    Raises:
+        OSError: a folder or file cannot be written.
+    """
+    place = folder.resolve()
+    place.parent.mkdir(parents=True, exist_ok=True)
+    draft = place.with_name(f".{place.name}.{os.getpid()}")
+    draft.mkdir()
+    try:
+        yield draft
+        if place.exists():
+            # Do not replace the folder itself: it may be a shell's current folder.
+            for file in sorted(draft.iterdir()):
+                shutil.move(file, place / file.name)
+        else:
+            draft.rename(place)
+    finally:
+        shutil.rmtree(draft, ignore_errors=True)
 
 
 def target_sheet(target: Target) -> Sheet:
@@ -112,7 +143,9 @@ def target_sheet(target: Target) -> Sheet:
 
 def table_sheet(references: ReferenceMap) -> Sheet:
     """Return the reference markers on one white sheet, in the frame of the table."""
-    corners = np.abs(references.corners().reshape(-1, 2)).max(axis=0) + 0.02
+    # _draw paints a square of 1.5 times the marker's side, which extends beyond the corners.
+    margin = max(0.02, 0.3 * max(marker.size for marker in references.markers))
+    corners = np.abs(references.corners().reshape(-1, 2)).max(axis=0) + margin
     rows, columns = (2 * round(float(half) / PIXEL) for half in corners[::-1])
     pattern = np.full((rows, columns), 255, dtype=np.uint8)
     for marker in references.markers:

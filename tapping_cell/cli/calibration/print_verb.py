@@ -19,6 +19,7 @@ measure their positions with calibrate table.
 from __future__ import annotations
 
 import argparse
+import math
 from pathlib import Path
 
 from tapping_cell.calibration.camera import CalibrationRefused
@@ -35,12 +36,19 @@ from tapping_cell.calibration.print_sheet import (
 )
 from tapping_cell.calibration.table_file import table_yaml
 from tapping_cell.calibration.target import Target, TargetError
+from tapping_cell.cli import argument_types
 from tapping_cell.cli.calibration.camera_verb import counts
 from tapping_cell.configuration.table import load_reference_map
 from tapping_cell.report.print_sheet import PrintedPage, write_pdf, write_png
 from tapping_cell.vision import MarkerError, ReferenceMap
 
 SHEETS = ("charuco", "chessboard", "table", "cut", "objects")
+SIDES_MM = (3.0, 1000.0)
+"""Limits of the side length of squares and markers, in mm."""
+LAST_ID = 1_000_000
+"""Limit of marker ids, as in a table file."""
+MAX_PIXELS = 3e8
+"""Limit of the pixels of a PNG, which is drawn in memory with 4 bytes per pixel."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -67,7 +75,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--square-size",
-        type=float,
+        type=argument_types.within(*SIDES_MM),
         default=25.0,
         metavar="MM",
         help="side length of the target's squares in mm (default: 25)",
@@ -84,24 +92,27 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--marker-size",
-        type=float,
+        type=argument_types.within(*SIDES_MM),
         default=30.0,
         metavar="MM",
         help="side length of the reference markers in mm (default: 30)",
     )
     parser.add_argument(
-        "--first-id", type=int, default=101, help="id of the first reference marker (default: 101)"
+        "--first-id",
+        type=argument_types.whole(0, LAST_ID),
+        default=101,
+        help="id of the first reference marker (default: 101)",
     )
     parser.add_argument(
         "--object-size",
-        type=float,
+        type=argument_types.within(*SIDES_MM),
         default=50.0,
         metavar="MM",
         help="side length of the object markers in mm (default: 50)",
     )
     parser.add_argument(
         "--object-ids",
-        type=int,
+        type=argument_types.whole(0, LAST_ID),
         nargs="+",
         default=[1, 2, 3],
         help="ids of the object markers (default: 1 2 3)",
@@ -115,9 +126,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--dpi",
-        type=float,
+        type=argument_types.within(30, 2400),
         default=300.0,
-        help="resolution of a PNG in dots per inch (default: 300)",
+        help="resolution of a PNG in dots per inch, 30 to 2400 (default: 300)",
     )
     parser.add_argument(
         "--output",
@@ -154,6 +165,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise CalibrationRefused(str(error)) from error
     drawn = [printed(page) for page in pages]
     if picture:
+        _refuse_too_many_pixels(pages[0], arguments.dpi)
         write_png(output, drawn[0], arguments.dpi)
     else:
         write_pdf(output, drawn, "tapping cell: sheets for calibration")
@@ -198,6 +210,17 @@ def _references(arguments: argparse.Namespace, paper: tuple[float, float]) -> Re
         return load_reference_map(arguments.table.expanduser())
     size = arguments.marker_size / 1e3
     return reference_map(paper, size, arguments.dictionary, arguments.first_id)
+
+
+def _refuse_too_many_pixels(page: Page, dpi: float) -> None:
+    square_inches = page.width * page.height / 0.0254**2
+    if square_inches * dpi**2 > MAX_PIXELS:
+        raise CalibrationRefused(
+            f"a page of {page.width * 1e3:g} x {page.height * 1e3:g} mm at {dpi:g} dpi has "
+            f"{square_inches * dpi**2 / 1e6:.0f} million pixels (limit {MAX_PIXELS / 1e6:.0f} "
+            f"million); give --dpi {math.sqrt(MAX_PIXELS / square_inches) // 1:.0f} or less, or "
+            "write a .pdf"
+        )
 
 
 def printed(page: Page) -> PrintedPage:

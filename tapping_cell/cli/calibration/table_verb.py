@@ -43,6 +43,7 @@ from tapping_cell.calibration.table_frame import (
 )
 from tapping_cell.cli.calibration.camera_verb import image_files, one_size, read_grey
 from tapping_cell.cli.calibration_arguments import add_output_arguments, output_of
+from tapping_cell.cli.image_output import distinct_names
 from tapping_cell.configuration.files import shared_folder
 from tapping_cell.configuration.provenance import Provenance
 from tapping_cell.configuration.table import load_camera_model, load_reference_map
@@ -205,18 +206,18 @@ def _views(
     paths: list[Path], camera: CameraModel, dictionary: str, known: list[int] | None
 ) -> tuple[list[MarkerView], list[str]]:
     """Return the marker detections, and messages about images without detections."""
-    images = {path: read_grey(path) for path in paths}
-    unseen = [f"{path.name}: cannot be read" for path, image in images.items() if image is None]
-    kept = {path: image for path, image in images.items() if image is not None}
-    one_size({path.name: (image.shape[1], image.shape[0]) for path, image in kept.items()})
+    images = {name: read_grey(path) for path, name in distinct_names(paths).items()}
+    unseen = [f"{name}: cannot be read" for name, image in images.items() if image is None]
+    kept = {name: image for name, image in images.items() if image is not None}
+    one_size({name: (image.shape[1], image.shape[0]) for name, image in kept.items()})
     views = []
-    for path, image in kept.items():
+    for name, image in kept.items():
         try:
-            found = observe_markers(image, path.name, camera, dictionary, known)
+            found = observe_markers(image, name, camera, dictionary, known)
         except MarkerError as error:
             raise CalibrationRefused(str(error)) from error
         if isinstance(found, str):
-            unseen.append(f"{path.name}: {found}")
+            unseen.append(f"{name}: {found}")
         else:
             views.append(found)
     return views, unseen

@@ -30,7 +30,7 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
-from tapping_cell.calibration.cell_file import calibrated_cell
+from tapping_cell.calibration.cell_file import calibrated_cell, load_cell_with_objects
 from tapping_cell.calibration.csv_table import CsvTable, read_csv
 from tapping_cell.calibration.keep import fingerprints, now, write_kept
 from tapping_cell.calibration.tapper import (
@@ -47,7 +47,6 @@ from tapping_cell.cli.calibration_arguments import (
     check_count,
     output_of,
 )
-from tapping_cell.configuration.cell import load_cell
 from tapping_cell.configuration.provenance import Provenance
 
 
@@ -76,7 +75,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the calibration. Return 0 if the file was written, 130 if the recording was
     interrupted."""
     output = output_of(arguments, ("tapper", "calibration"))
-    cell = load_cell(arguments.cell, arguments.object)
+    cell = load_cell_with_objects(arguments.cell, arguments.object)
     if arguments.record_first:
         check_count("--taps", arguments.taps, MIN_TAPS)
         from tapping_cell.cli.calibration.tapper_recording import record as make_record
@@ -89,7 +88,7 @@ def run(arguments: argparse.Namespace) -> int:
     record = _provenance(result, table, cell.object_path)
     values = {"energies": list(result.energies), "speeds": list(result.speeds)}
     text = calibrated_cell(cell, "tapper", values, record, output.path)
-    write_kept(output, text, record, load_cell)
+    write_kept(output, text, record, load_cell_with_objects)
     found = report(result, table, output.path)
     old = cell.file.tapper.curve()
     if old.slowest < 0.99 * result.speeds[0] or old.fastest > 1.01 * result.speeds[-1]:

@@ -6,6 +6,7 @@ from __future__ import annotations
 import contextlib
 import io
 import json
+import os
 import threading
 import time
 from collections.abc import Iterator, Mapping
@@ -18,13 +19,18 @@ from rich.console import Console
 from rich.markup import escape
 from std_msgs.msg import Bool
 
+from tapping_cell.cli.errors import ExitStatus
 from tapping_cell.cli.graph import HARDWARE, SIMULATED, Graph, with_own_ports
 from tapping_cell.configuration.cell import Cell, load_cell
+from tapping_cell.configuration.schema import ConfigurationError
 from tapping_cell.logic import enabling
 from tapping_cell.nodes.cell_node import COMMAND
 from tapping_cell.nodes.clients.client_node import ClientNode
 
 RECORD = "commission.json"
+REMEDY = "restore the file, or choose another folder with --out"
+"""Remedy for a damaged record. Deleting the file is no remedy, because the folder may contain files
+of a simulated session."""
 HEARTBEAT_S = 0.05
 
 
@@ -43,8 +49,8 @@ class Proof:
 
 @dataclass(slots=True)
 class Session:
-    """Commissioning session in one folder. The folder contains the cell's files (``config``) and
-    the measurements (``commission.json``)."""
+    """Commissioning session in one folder, either on hardware or simulated. The folder contains the
+    cell's files (``config``) and the measurements (``commission.json``)."""
 
     folder: Path
     console: Console
@@ -71,18 +77,69 @@ class Session:
     # The record
 
     def load(self) -> None:
-        """Load the completed steps from the folder."""
+        """Load the completed steps from the folder, if it contains a session.
+
+        Raises:
+            ConfigurationError: the file is damaged, or the folder contains a simulated session, but
+                this session is on hardware, or vice versa.
+            OSError: the file cannot be read.
+        """
         record = self.folder / RECORD
-        if record.exists():
-            self.proofs = json.loads(record.read_text(encoding="utf-8"))
+        if not record.exists():
+            return
+        try:
+            content = json.loads(record.read_text(encoding="utf-8"))
+        except ValueError as error:
+            raise ConfigurationError(f"{record}: is not JSON ({error}); {REMEDY}") from error
+        if problem := _problem(content):
+            raise ConfigurationError(f"{record}: {problem}; {REMEDY}")
+        if self.hardware and not content["hardware"]:
+            raise ConfigurationError(
+                f"{self.folder} contains a simulated session, which does not verify the hardware; "
+                f"choose another folder for the hardware, such as --out {self.folder}_hardware"
+            )
+        if content["hardware"] and not self.hardware:
+            raise ConfigurationError(
+                f"{self.folder} contains a session on hardware; give --hardware to continue it, or "
+                f"choose another folder to simulate, such as --out {self.folder}_simulated"
+            )
+        self.proofs = content["steps"]
+
+    def save(self) -> None:
+        """Write the completed steps to the folder.
+
+        Raises:
+            OSError: the file cannot be written.
+        """
+        self._write(self.proofs)
+
+    def _write(self, proofs: Mapping[str, Mapping[str, Any]]) -> None:
+        content = {"hardware": self.hardware, "steps": proofs}
+        temporary = self.folder / (RECORD + ".part")
+        with temporary.open("w", encoding="utf-8") as file:
+            file.write(json.dumps(content, indent=1) + "\n")
+            file.flush()
+            os.fsync(file.fileno())  # so that a loss of power leaves the old or the new content
+        temporary.replace(self.folder / RECORD)
 
     def prove(self, step: str, proof: Proof, seconds: float) -> None:
-        """Store a step's measurements."""
+        """Store a step's measurements. Raises as :meth:`save`."""
         made = datetime.now().astimezone().isoformat(timespec="seconds")
-        self.proofs[step] = {**asdict(proof), "seconds": round(seconds, 1), "made": made}
-        temporary = self.folder / (RECORD + ".part")
-        temporary.write_text(json.dumps(self.proofs, indent=1) + "\n", encoding="utf-8")
-        temporary.replace(self.folder / RECORD)
+        stored = {**asdict(proof), "seconds": round(seconds, 1), "made": made}
+        proofs = {**self.proofs, step: stored}
+        self._write(proofs)
+        self.proofs = proofs
+
+    def forget(self, step: str) -> None:
+        """Delete a step's measurements, so that the step is repeated. Raises as :meth:`save`."""
+        self.proofs.pop(step, None)
+        self.save()
+        self.recording(step).unlink(missing_ok=True)
+
+    def recording(self, step: str) -> Path:
+        """File in which a step records its measurements one by one. An interrupted recording is
+        resumed."""
+        return self.folder / f"{step}.csv"
 
     # The person
 
@@ -92,14 +149,23 @@ class Session:
         if self.unattended:
             return
         self.console.print(f"[cyan]>[/] {escape(sentence)}")
-        self.console.input("  press Enter when this is done, or Ctrl-C to stop and continue later ")
+        self._answer("  press Enter when this is done, or Ctrl-C to stop and continue later ")
 
     def ask(self, question: str, default: str) -> str:
         """Return a person's answer, or the default in unattended mode."""
         if self.unattended:
             return default
         self.console.print(f"[cyan]?[/] {escape(question)} \\[{escape(default)}]")
-        return self.console.input("  ").strip() or default
+        return self._answer("  ").strip() or default
+
+    def _answer(self, prompt: str) -> str:
+        try:
+            return self.console.input(prompt)
+        except EOFError:
+            raise StepFailed(
+                "the standard input ended before an answer; run the command in a terminal"
+                + ("" if self.hardware else ", or with --yes, which asks nothing")
+            ) from None
 
     # Other verbs
 
@@ -108,6 +174,7 @@ class Session:
 
         Raises:
             StepFailed: the verb failed; the message contains the verb's error message.
+            KeyboardInterrupt: the verb was interrupted.
         """
         from tapping_cell.cli import main
 
@@ -117,6 +184,8 @@ class Session:
                 status = main(arguments)
             except SystemExit as ended:
                 status = int(ended.code or 0)
+        if status == ExitStatus.INTERRUPTED:
+            raise KeyboardInterrupt
         if status:
             output = " ".join(err.getvalue().split()) or " ".join(out.getvalue().split())
             raise StepFailed(f"{' '.join(arguments[:2])} failed: {output.removeprefix('error: ')}")
@@ -158,6 +227,27 @@ class Session:
     def ports(self) -> Path:
         """Folder of the simulated devices' ports."""
         return self.folder / "ports"
+
+
+def _problem(content: Any) -> str:
+    """Return what is wrong with the content of the record; empty if nothing is."""
+    if not isinstance(content, Mapping):
+        return "must be a mapping"
+    if not isinstance(content.get("hardware"), bool):
+        return "key 'hardware' must be true or false, but earlier versions did not write it"
+    if not isinstance(content.get("steps"), Mapping):
+        return "key 'steps' must be a mapping"
+    kinds: dict[str, Any] = {
+        "sentence": str,
+        "values": Mapping,
+        "seconds": (int, float),
+        "made": str,
+    }
+    for step, proof in content["steps"].items():
+        for key, kind in kinds.items():
+            if not isinstance(proof, Mapping) or not isinstance(proof.get(key), kind):
+                return f"key 'steps.{step}.{key}' is missing or of the wrong type"
+    return ""
 
 
 class _Enabling(ClientNode):

@@ -64,7 +64,12 @@ class Step:
 def files(session: Session) -> Proof:
     """Copy the package's configuration files into the session's folder, and check them."""
     if not session.config.exists():
-        shutil.copytree(shared_folder(), session.config, ignore=shutil.ignore_patterns("security"))
+        # Copy under another name first, so that an incomplete copy is never used.
+        part = session.config.with_name("config.part")
+        if part.exists():
+            shutil.rmtree(part)
+        shutil.copytree(shared_folder(), part, ignore=shutil.ignore_patterns("security"))
+        part.rename(session.config)
     return _checked(session)
 
 
@@ -169,7 +174,7 @@ def _calibrate_with_cell(
     session: Session, what: str, number: tuple[str, int], truth: Path | None = None
 ) -> dict[str, Any]:
     """Record with the running cell and calibrate. ``number``: option and number of measurements."""
-    record = session.folder / f"{what}.csv"
+    record = session.recording(what)
     resumed = ("--resume",) if record.exists() else ()
     option, count = number
     cell_file = str(session.cell_file)

@@ -3,6 +3,7 @@ refused."""
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,8 +14,10 @@ import pytest
 import yaml
 
 from tapping_cell.calibration.camera import CalibrationRefused, calibrate_camera
+from tapping_cell.calibration.camera_file import camera_info_yaml
 from tapping_cell.calibration.target import Target, TargetError, TargetView, find_target
 from tapping_cell.cli import main
+from tapping_cell.configuration.provenance import Provenance
 from tapping_cell.configuration.table import load_camera_model
 from tapping_cell.simulation.rendered_sheet import SheetCamera
 from tapping_cell.vision import CameraModel, CameraPose, View
@@ -178,3 +181,50 @@ def test_images_of_another_size_are_named(photographs: Path, tmp_path: Path, cap
     words += ["--squares", "9x7", "--square-size", "25", "--output", str(tmp_path / "c.yaml")]
     assert main(words) == 1
     assert "odd.png (640 x 400)" in capsys.readouterr().err
+
+
+def test_annotating_never_replaces_or_adds_to_the_photographs(
+    photographs: Path, tmp_path: Path, capsys
+) -> None:
+    before = {path: path.read_bytes() for path in photographs.iterdir()}
+    words = ["calibrate", "camera", str(photographs), "--target", "chessboard", "--squares", "9x7"]
+    words += ["--square-size", "25", "--output", str(tmp_path / "camera_info.yaml")]
+    assert main([*words, "--annotate", f"{photographs}/../{photographs.name}"]) == 2
+    assert "is the folder of the input images" in capsys.readouterr().err
+    assert {path: path.read_bytes() for path in photographs.iterdir()} == before
+
+
+def test_photographs_with_equal_names_are_distinguished(
+    photographs: Path, tmp_path: Path, capsys
+) -> None:
+    views = sorted(photographs.glob("view*.png"))
+    for number, view in enumerate(views):
+        path = tmp_path / ("a" if number < 4 else "b") / f"{number % 4}.png"
+        path.parent.mkdir(exist_ok=True)
+        path.write_bytes(view.read_bytes())
+    (tmp_path / "a" / "coverage.png").write_bytes((photographs / "empty.png").read_bytes())
+    output, drawn = tmp_path / "camera_info.yaml", tmp_path / "drawn"
+    folders = [str(tmp_path / "a"), str(tmp_path / "b")]
+    words = ["calibrate", "camera", *folders, "--target", "chessboard", "--squares", "9x7"]
+    words += ["--square-size", "25", "--output", str(output), "--json"]
+    assert main([*words, "--annotate", str(drawn)]) == 0
+    named = [view["image"] for view in json.loads(capsys.readouterr().out)["views"]]
+    assert set(named) <= {f"{part}/{number}.png" for part in "ab" for number in range(4)}
+    assert len(set(named)) == len(named) >= 6
+    copies = {name.replace("/", "_") for name in named}
+    assert {path.name for path in drawn.iterdir()} == {*copies, "coverage.png"}
+    # Each copy shows its own photograph: they agree outside the coloured marks.
+    for name in named:
+        copy = cv2.imread(str(drawn / name.replace("/", "_")))
+        own = cv2.imread(str(tmp_path / name))
+        assert (copy == own).all(axis=2).mean() > 0.5
+    cv2.imwrite(str(tmp_path / "b" / "1.png"), np.zeros((240, 320), dtype=np.uint8))
+    assert main([*words, "--force"]) == 1
+    assert "b/1.png (320 x 240)" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["left: a # b", "[", "yes", "", "Käse 📷", "a\nb: c", '"'])
+def test_any_name_of_a_camera_is_read_back(name: str) -> None:
+    record = Provenance("calibrate camera", "", (), 0, 0, 0.0, "", 0.0, "", {}, ())
+    document = yaml.safe_load(camera_info_yaml(SMALL, name, record))
+    assert document["camera_name"] == name

@@ -38,3 +38,12 @@ def test_an_existing_file_is_neither_overwritten_nor_mixed(tmp_path: Path) -> No
     assert len(read_csv(path, COLUMNS).rows) == 2
     with pytest.raises(ValueError, match="2 columns"):
         GrowingCsv(path, HEADER, resume=True).append((0.3,))
+
+
+def test_a_file_in_another_encoding_is_not_continued(tmp_path: Path) -> None:
+    path = tmp_path / "taps.csv"
+    content = "# Käse\nenergy,distance\n0.1,0.2\n".encode("latin-1")
+    path.write_bytes(content)
+    with pytest.raises(RecordError, match=r"taps\.csv: .* is not UTF-8 text; save it as CSV"):
+        GrowingCsv(path, HEADER, resume=True)
+    assert path.read_bytes() == content

@@ -3,6 +3,9 @@ alone."""
 
 from __future__ import annotations
 
+import errno
+import os
+import resource
 from dataclasses import replace
 from pathlib import Path
 
@@ -88,3 +91,43 @@ def test_a_file_that_the_reader_refuses_is_never_written(tmp_path: Path) -> None
         write_kept(Output(path, force=True), "calibration: 5", OLD, read_provenance)
     assert read_provenance(path) == OLD
     assert [entry.name for entry in tmp_path.iterdir()] == ["a.yaml"]
+
+
+@pytest.mark.parametrize("links", [True, False], ids=["hard links", "no hard links"])
+def test_a_disk_that_fills_up_leaves_no_incomplete_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, links: bool
+) -> None:
+    """The disk is full after the draft was written: from then on, a limit of the file size prevents
+    writing."""
+    if not links:
+        monkeypatch.setattr(os, "link", refused_link)
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+
+    def read_and_fill(draft: Path) -> None:
+        read_provenance(draft)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (50, hard))
+
+    path = tmp_path / "a.yaml"
+    try:
+        write_kept(Output(path), provenance_yaml(OLD), OLD, read_and_fill)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert read_provenance(path) == OLD
+    assert [entry.name for entry in tmp_path.iterdir()] == ["a.yaml"]
+
+
+@pytest.mark.parametrize("links", [True, False], ids=["hard links", "no hard links"])
+def test_a_file_created_in_the_meantime_is_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, links: bool
+) -> None:
+    if not links:
+        monkeypatch.setattr(os, "link", refused_link)
+    path = tmp_path / "a.yaml"
+    with pytest.raises(KeptFile, match="--force to replace it"):
+        write_kept(Output(path), provenance_yaml(OLD), OLD, lambda draft: path.write_text("other"))
+    assert path.read_text() == "other"
+    assert [entry.name for entry in tmp_path.iterdir()] == ["a.yaml"]
+
+
+def refused_link(source: Path, target: Path) -> None:
+    raise PermissionError(errno.EPERM, "Operation not permitted")

@@ -173,6 +173,18 @@ def test_the_verb_reads_the_taps_of_goals_from_run_folders(tmp_path: Path, capsy
     assert main([*again, "--output", str(tmp_path / "again.yaml")]) == 0
     assert f"left out: {unfinished} has no summary.json" in capsys.readouterr().out
 
+    # The pattern runs/* also gives the comparison page.
+    page = tmp_path / "comparison.html"
+    page.write_text("<html></html>")
+    with_page = [*command[:2], str(page), *command[2:]]
+    assert main([*with_page, "--output", str(tmp_path / "with_page.yaml")]) == 0
+    assert f"left out: {page} is not a run folder" in capsys.readouterr().out
+    for name, words in (("none", "does not exist"), ("taps.csv", "give one CSV file, or run")):
+        (tmp_path / "taps.csv").touch()
+        mixed = [*command[:2], str(tmp_path / name), *command[2:]]
+        assert main([*mixed, "--output", str(tmp_path / "mixed.yaml")]) == 2
+        assert words in capsys.readouterr().err
+
     other = replace(run_of(entry.name, taps), object_name="teapot")
     write_illustrated_run(folders[0], IllustratedRun(other, ()), pictures=False)
     assert main([*command, "--output", str(tmp_path / "other.yaml")]) == 2

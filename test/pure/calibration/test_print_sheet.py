@@ -11,6 +11,7 @@ import pytest
 from tapping_cell.calibration.print_sheet import (
     SheetError,
     marker_loops,
+    object_page,
     paper_size,
     reference_map,
     reference_page,
@@ -204,8 +205,40 @@ def test_the_outlines_of_a_marker_match_its_pattern() -> None:
         (lambda: target_page((0.297, 0.21), Target("chessboard", 12, 9, 0.03)), "fewer or smaller"),
         (lambda: reference_page((0.297, 0.21), load_reference_map(SHIPPED)), "such as a1"),
         (lambda: reference_map((0.297, 0.21), 0.06, "APRILTAG_36h11", 101), "largest that fit"),
+        (lambda: object_page((0.297, 0.21), [1], -0.05, "APRILTAG_36h11"), "is -50 mm"),
+        (lambda: object_page((0.297, 0.21), [1], 0.0, "APRILTAG_36h11"), "must be above 0 mm"),
     ],
 )
 def test_a_sheet_that_does_not_fit_is_refused(act, words: str) -> None:
     with pytest.raises(SheetError, match=words):
         act()
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "words"),
+    [
+        ("--object-size", "-50", "limits 3 to 1000"),
+        ("--marker-size", "0", "limits 3 to 1000"),
+        ("--square-size", "25000", "limits 3 to 1000"),
+        ("--dpi", "0", "limits 30 to 2400"),
+        ("--dpi", "-5", "limits 30 to 2400"),
+        ("--dpi", "0.01", "limits 30 to 2400"),
+        ("--first-id", "-1", "limits 0 to 1000000"),
+    ],
+)
+def test_an_impossible_size_is_refused_and_nothing_is_written(
+    tmp_path: Path, capsys, option: str, value: str, words: str
+) -> None:
+    line = ["calibrate", "print", "--what", "objects", "--output", str(tmp_path / "sheet.png")]
+    with pytest.raises(SystemExit) as ended:
+        main([*line, f"{option}={value}"])
+    assert ended.value.code == 2
+    assert words in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_png_with_too_many_pixels_is_refused(tmp_path: Path, capsys) -> None:
+    line = ["calibrate", "print", "--what", "charuco", "--output", str(tmp_path / "sheet.png")]
+    assert main([*line, "--paper", "a1", "--dpi", "2400"]) == 1
+    assert "--dpi 622 or less" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())

@@ -5,14 +5,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import calibration_truths as truths
+import cv2
 import numpy as np
 import pytest
 
 from tapping_cell.calibration.camera import CalibrationRefused
 from tapping_cell.calibration.table import MarkerView, calibrate_table, observe_markers
 from tapping_cell.calibration.table_frame import frame_of_map, frame_of_markers, in_frame, scaled
+from tapping_cell.cli import main
 from tapping_cell.se2 import transform_points
 from tapping_cell.simulation.rendered_sheet import SheetCamera
 from tapping_cell.vision import CameraModel, CameraPose, ReferenceMap, View
@@ -124,3 +127,14 @@ def test_images_without_common_markers_are_refused() -> None:
         solve(references, halves)
     with pytest.raises(CalibrationRefused, match="at least 2"):
         solve(references, views[:1])
+
+
+def test_images_with_equal_names_and_different_sizes_are_refused(tmp_path: Path, capsys) -> None:
+    images = []
+    for part, shape in (("a", (960, 1280)), ("b", (480, 640)), ("c", (960, 1280))):
+        images.append(tmp_path / part / "1.png")
+        images[-1].parent.mkdir()
+        cv2.imwrite(str(images[-1]), np.full(shape, 120, dtype=np.uint8))
+    words = ["calibrate", "table", *map(str, images), "--size", "40"]
+    assert main([*words, "--output", str(tmp_path / "table.yaml")]) == 1
+    assert "2 are 1280 x 960 pixels, but b/1.png (640 x 480)" in capsys.readouterr().err

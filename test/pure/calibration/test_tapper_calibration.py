@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,10 +13,11 @@ import pytest
 from tapping_cell.calibration.camera import CalibrationRefused
 from tapping_cell.calibration.tapper import SHARES, TapRecord, calibrate_tapper
 from tapping_cell.cli import main
-from tapping_cell.configuration.cell import load_cell
+from tapping_cell.configuration.cell import load_cell, load_further_objects
 from tapping_cell.configuration.files import shared_folder
 
 CELL = load_cell(shared_folder() / "cell.yaml")
+SIX_AXES = Path(__file__).parents[3] / "examples" / "six_axis_cell" / "cell.yaml"
 TAP = CELL.object.tap(CELL.file.tapper.striker())
 
 
@@ -108,3 +110,40 @@ def test_the_verb_writes_a_cell_that_the_nodes_read(tmp_path: Path, capsys) -> N
     assert cell.file.tapper.calibration.by == "calibrate tapper"
     assert cell.file.tapper.curve().slowest > CELL.file.tapper.curve().slowest
     assert cell.object == CELL.object
+
+
+@pytest.mark.parametrize("kind", ["several objects", "chain"])
+def test_a_copy_in_another_folder_finds_the_files_of_the_cell(tmp_path: Path, kind: str) -> None:
+    _, taps = record(6)
+    pairs = zip(taps.energies * 1e3, taps.distances * 1e3, strict=True)
+    path, output = tmp_path / "taps.csv", tmp_path / "other" / "cell.yaml"
+    output.parent.mkdir()
+    path.write_text("energy_mJ,distance_mm\n" + "".join(f"{e:.6f},{d:.4f}\n" for e, d in pairs))
+    if kind == "chain":
+        source = SIX_AXES
+    else:
+        shutil.copytree(shared_folder(), tmp_path / "config")
+        source = tmp_path / "config" / "cell.yaml"
+        shutil.copy(source.parent / "objects" / "aluminium_square.yaml", tmp_path / "é square.yaml")
+        listed = f"objects:\n  - {tmp_path / 'é square.yaml'}   # the square\n"
+        source.write_text(source.read_text(encoding="utf-8") + listed, encoding="utf-8")
+    words = ["calibrate", "tapper", str(path), "--cell", str(source), "--output", str(output)]
+    assert main(words) == 0
+    cell, copy = load_cell(source), load_cell(output)
+    assert copy.file.tapper.calibration is not None
+    assert copy.object_path == cell.object_path
+    assert load_further_objects(copy) == load_further_objects(cell)
+    if kind == "chain":
+        assert copy.arm.chain() is not None
+    else:
+        written = output.read_text(encoding="utf-8")
+        assert '- "../é square.yaml"   # the square' in written
+
+
+def test_a_further_object_that_is_missing_is_named_at_once(tmp_path: Path, capsys) -> None:
+    shutil.copytree(shared_folder(), tmp_path / "config")
+    source = tmp_path / "config" / "cell.yaml"
+    source.write_text(source.read_text(encoding="utf-8") + "objects: [objects/none.yaml]\n")
+    words = ["calibrate", "tapper", str(tmp_path / "taps.csv"), "--cell", str(source)]
+    assert main([*words, "--output", str(tmp_path / "cell.yaml")]) == 2
+    assert "objects/none.yaml" in capsys.readouterr().err

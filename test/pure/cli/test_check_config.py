@@ -80,6 +80,18 @@ def test_the_files_that_a_cell_names_are_checked_too(folder: Path) -> None:
     )
 
 
+def test_the_home_folder_in_the_path_of_a_further_object_is_expanded(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("HOME", str(folder / "objects"))
+    cell = change(folder / "cell.yaml", ("objects", ["~/plexiglas_disk.yaml"]))
+    assert errors(cell) == []
+    change(folder / "objects" / "plexiglas_disk.yaml", ("mass", "heavy"))
+    assert len(errors(cell)) == 1
+    (found,) = errors(change(cell, ("objects", ["~nobody_of_this_name/disk.yaml"])))
+    assert "cannot be read" in found
+
+
 @pytest.mark.parametrize(
     ("file", "key", "value", "words"),
     [
@@ -162,6 +174,29 @@ def test_a_parameter_file_is_checked_against_the_nodes(tmp_path: Path) -> None:
     for words in ("'atempts'", "'place_deadline' is", "nobody: no node", "'silence_limit' is"):
         assert sum(words in sentence for sentence in found) == 1, (words, found)
     assert len(found) == 4
+
+
+@pytest.mark.parametrize(
+    ("text", "place", "key"),
+    [
+        (
+            "tap_planner: {ros__parameters: {ask: true}, use_sim_time: false}",
+            "tap_planner",
+            "use_sim_time",
+        ),
+        ("tap_planner: {ros__parameters: {ask: true}, attempts: }", "tap_planner", "attempts"),
+        ("tap_planner: {ros__parameters: {}, planner: optimal}", "tap_planner", "planner"),
+        ("tap_planner: {ros__parameters: {}, values: {ask: true}}", "tap_planner/values", "ask"),
+    ],
+)
+def test_a_key_outside_ros_parameters_is_reported(
+    text: str, place: str, key: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "parameters.yaml"
+    path.write_text(text)
+    assert errors(path) == [
+        f"{path}: {place}: key '{key}' must be under 'ros__parameters'; correct its indentation"
+    ]
 
 
 def test_the_verb_returns_an_exit_status_and_json(

@@ -67,6 +67,18 @@ def test_runs_are_compared(runs: Path, capsys: pytest.CaptureFixture[str]) -> No
     assert "3 runs, 1 reached their goal" in page and 'href="../good/report.html"' in page
 
 
+def test_files_that_are_no_bags_are_skipped_among_several_paths(
+    runs: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for _ in range(2):  # the first comparison is one of the paths of the second
+        assert main(["report", *(str(path) for path in sorted(runs.iterdir()))]) == 0
+    output = " ".join(capsys.readouterr().out.split())
+    assert f"{runs / 'comparison.html'} is not a run: skipped" in output
+    assert main(["report", str(runs / "comparison.html")]) == 2
+    assert "not an MCAP file" in " ".join(capsys.readouterr().err.split())
+    assert main(["report", str(runs / "nowhere.html"), str(runs / "good")]) == 1
+
+
 def test_an_invalid_run_folder_is_refused_with_a_message(
     runs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

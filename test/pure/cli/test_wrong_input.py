@@ -112,6 +112,8 @@ WRONG: list[tuple[str, str]] = [
     ("up --runs FILES/empty.yaml", "is a file, not a folder"),
     ("up --logs FILES/empty.yaml/logs", "is a file, not a folder"),
     ("up --params FILES/list.yaml", "is not a ROS parameter file"),
+    ("up --params FILES/outside.yaml", "key 'use_sim_time' must be under 'ros__parameters'"),
+    ("commission --yes --out FILES/empty.yaml", "is a file, not a folder"),
     ("new-object FILES/text.png --name a --height 12 --output o.yaml", "read as an image"),
     ("new-object FILES/text.png --name a --height -3 --output o.yaml", "limits 0.5 to 500"),
     ("report FILES", "FILES"),
@@ -122,6 +124,11 @@ WRONG: list[tuple[str, str]] = [
     ("single-tap --truth FILES/list.yaml", "must be a mapping"),
     ("single-tap --incidences 90", "within +-60 deg"),
     ("faults --crashes --node nobody", "unknown: nobody"),
+    (
+        "calibrate arm a.csv --record --namespace a$b --output c.yaml",
+        "'a$b' is not a ROS namespace",
+    ),
+    ("calibrate tapper a.csv --record --namespace 9a --output c.yaml", "not a ROS namespace"),
 ]
 
 
@@ -153,6 +160,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ("deep.yaml", b"[" * 100_000),
         ("list.yaml", b"- 1\n- 2\n"),
         ("tab.yaml", b"name: cell\n\tarm: 3\n"),
+        ("outside.yaml", b"tap_planner: {ros__parameters: {ask: true}, use_sim_time: false}"),
         ("text.png", b"this is no image"),
     ):
         (folder / name).write_bytes(content)

@@ -64,6 +64,17 @@ def test_a_table_with_one_reference_marker_is_refused(tmp_path):
         ("639.5", "-90000.0", "cx is -90000 pixels"),
         ("data: [1150", "date: [1150", "'camera_matrix.data'"),
         (CAMERA, "[1]", "must be a mapping"),
+        ("image_width: 1280", "image_width: .inf", "key 'image_width' is inf"),
+        ("image_width: 1280", "image_width: .nan", "key 'image_width' is nan"),
+        ("image_width: 1280", "image_width: " + "9" * 400, "key 'image_width' is an integer"),
+        ("639.5", ".inf", "key 'camera_matrix.data[2]' is inf"),
+        ("639.5", "9" * 400, "key 'camera_matrix.data[2]' is an integer"),
+        ("-0.12", "9" * 400, "key 'distortion_coefficients.data[0]' is an integer"),
+        (
+            "image_width",
+            "calibration: {deviations: {fx: 0.1, fy: " + "9" * 400 + "}}\nimage_width",
+            "key 'calibration.deviations.fy' is an integer",
+        ),
     ],
 )
 def test_an_impossible_camera_is_refused(tmp_path, old, new, words):

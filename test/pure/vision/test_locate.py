@@ -135,6 +135,44 @@ def test_annotated_images_are_written(folder, capsys):
     assert cv2.imread(str(folder / "out" / "shot0.png")).shape == (1024, 1280, 3)
 
 
+def test_annotating_never_replaces_an_input_image(folder, tmp_path, capsys):
+    shot = folder / "shot0.png"
+    before = shot.read_bytes()
+    link = tmp_path / "linked" / "shot0.png"
+    link.parent.mkdir()
+    link.symlink_to(shot)
+    for target, words in ((folder, "is the folder of"), (link.parent, "would replace")):
+        assert locate(folder, "shot0.png", "--annotate", str(target)) == 2
+        assert words in capsys.readouterr().err
+    assert locate(folder, "shot0.png", "--annotate", str(shot)) == 2
+    assert "is a file; give a folder" in capsys.readouterr().err
+    assert shot.read_bytes() == before
+
+
+def test_images_with_equal_names_have_annotated_copies_of_their_own(folder, tmp_path, capsys):
+    paths = []
+    for part, shot, end in (("a", 0, "png"), ("b", 1, "png"), ("b", 1, "bmp")):
+        path = tmp_path / part / f"x.{end}"
+        path.parent.mkdir(exist_ok=True)
+        cv2.imwrite(str(path), cv2.imread(str(folder / f"shot{shot}.png")))
+        paths.append(str(path))
+    assert locate(folder, *paths, "--annotate", str(tmp_path / "out")) == 0
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [
+        "a_x.png",
+        "b_x.png",
+        "x.png",
+    ]
+    printed = capsys.readouterr().out
+    assert "a/x.png" in printed and "b/x.png" in printed
+
+
+def test_an_annotated_image_that_cannot_be_written_is_named(folder, tmp_path, capsys):
+    full = tmp_path / "shot0.png"
+    full.symlink_to("/dev/full")
+    assert locate(folder, "shot0.png", "--annotate", str(tmp_path)) == 2
+    assert f"{full} cannot be written (No space left on device)" in capsys.readouterr().err
+
+
 def test_an_invalid_file_is_named(folder, capsys):
     bad = folder / "bad.yaml"
     bad.write_text("dictionary: nonsense_9x9\nmarkers: [{id: 1, size: 0.04, x: 0, y: 0}]\n")
