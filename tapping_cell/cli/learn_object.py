@@ -38,6 +38,7 @@ from tapping_cell.cli.graph import GraphError
 from tapping_cell.cli.measured_taps import measured_taps
 from tapping_cell.cli.measuring_graph import add_graph_arguments
 from tapping_cell.cli.object_probing import ProbingStopped, probe
+from tapping_cell.cli.report import no_run
 from tapping_cell.cli.signals import end_on_signals
 from tapping_cell.configuration.objects import ObjectFile, load_object
 from tapping_cell.configuration.schema import ConfigurationError
@@ -100,7 +101,7 @@ def run(arguments: argparse.Namespace) -> int:
     try:
         output = None if arguments.output is None else output_of(arguments)
         content = load_object(arguments.object.expanduser())
-        folders = [folder.expanduser() for folder in arguments.runs]
+        folders = _run_folders(arguments.runs)
         if folders:
             taps = [tap for folder in folders for tap in _taps(folder, content.name)]
         else:
@@ -188,6 +189,25 @@ def _known(taps: list[Moves], content: ObjectFile) -> bool:
         and friction.std < FRICTION_KNOWN * friction.value
         and factor.std < FACTOR_KNOWN * factor.value
     )
+
+
+def _run_folders(paths: list[Path]) -> list[Path]:
+    """Return the given run folders. Among several paths, those that are no runs are skipped: a
+    pattern such as runs/* also gives runs/comparison.html.
+
+    Raises:
+        RecordError: none of several paths is a run.
+    """
+    paths = [path.expanduser() for path in paths]
+    if len(paths) < 2:
+        return paths
+    folders = [path for path in paths if not no_run(path)]
+    for path in paths:
+        if path not in folders:
+            print(f"{path} is not a run: skipped", file=sys.stderr)
+    if not folders:
+        raise RecordError("none of these is a run folder; give folders such as those in runs")
+    return folders
 
 
 def _taps(folder: Path, name: str) -> list[Moves]:

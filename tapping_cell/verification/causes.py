@@ -52,6 +52,7 @@ LASTING_S = {
     "motors off at the tapper": 4.0,
     "camera": 8.0,
     "object moved": 2.0,
+    "unknown object": 60.0,
     "object turned": 2.0,
     "object creeps": 2.0,
     "other object moved": 2.0,

@@ -102,6 +102,8 @@ the striker is charged, unless the striker has been charged for longer than ``CA
 CONTINUED_S = 0.05
 """Maximum time from when the arm has processed the withdrawal of a tap until it begins a further
 part of its way to the strike pose, s."""
+AT_STRIKE_POSE_M = 0.0005
+"""Maximum distance of the target of a move from a strike pose to which the move leads, m."""
 ROUNDING_S = 1e-6
 """Tolerance for the rounding of times on the processes' clocks."""
 MOVE_TOLERANCE = Joints(0.005, 0.005, 0.0005, 0.01)
@@ -245,6 +247,12 @@ class InvariantChecker:
     older, the tapper itself must refuse to fire."""
     charge_received: float = -math.inf
     """Time at which the arm's process last received a report that the striker is charged."""
+    longest_view: float = 1.05
+    """Maximum age of the image on which the planner bases a tap, s, if the smallest delay of its
+    images is known."""
+    _withdrawn_for_arm: tuple[int, float] = (0, math.inf)
+    """Id of the last tap whose withdrawal the arm's process received while the arm served this tap,
+    and the time of receipt."""
     over_for_arm: int = 0
     """Id of the last tap of which the arm's process has received that it is over, while the arm
     served this tap; 0 if there is none."""
@@ -285,6 +293,8 @@ class InvariantChecker:
     """Index of the request of the present goal; None if the planner has no goal."""
     _taps: dict[int, list[int]] = field(default_factory=dict)
     """Ids of the taps that the planner has commanded for each goal."""
+    _taps_of_second: dict[int, int] = field(default_factory=dict)
+    """Number of taps that a second planner has commanded during each goal."""
     _forged: set[int] = field(default_factory=set)
     """Ids of the taps of which another node than the tapper has reported an outcome."""
     _report: TapperState | None = None
@@ -348,6 +358,8 @@ class InvariantChecker:
             if message.request == TapCommand.TAP:
                 self._commanded_at.setdefault(message.tap_id, self.scheduler.now)
                 self.commands[message.tap_id] = message
+                if node == "tap_planner (second)":
+                    self._note_tap_of_second()
                 if node == "tap_planner":
                     self.planners.add(message.tap_id)
                     if self.confirmation is not None:
@@ -745,10 +757,23 @@ class InvariantChecker:
                 " striker is charged",
             )
 
-    def check_speed(self, speed: float) -> None:
-        """Check the speed of a move before it begins, as a fraction of the maximum joint speeds."""
+    def check_start(self, target: Joints, speed: float) -> None:
+        """Check a move before it begins. ``speed`` is a fraction of the maximum joint speeds."""
         if self.set_up is not None:
             self.set_up.check_speed(speed)
+        tap_id, withdrawn_at = self._withdrawn_for_arm
+        command, late = self.commands.get(tap_id), self.scheduler.now - withdrawn_at
+        if command is None or self._arm[1] != tap_id or late < CONTINUED_S:
+            return
+        tip = self.physical.geometry.forward(target)
+        place = self.physical.cell.arm_base @ Pose(tip.x, tip.y, tip.yaw)
+        off = place.distance_to(from_message(command.strike_pose))
+        if off < AT_STRIKE_POSE_M and tip.z < command.strike_pose.position.z + AT_STRIKE_POSE_M:
+            self.violate(
+                "moved on after a withdrawal",
+                f"the arm began to move to the strike pose of tap {tap_id} {late:.2f} s after it"
+                " had received the withdrawal of this tap",
+            )
 
     def check_move(self, target: Joints) -> None:
         """Check that the arm truly stands at the target of a move that its driver reports as
@@ -800,6 +825,13 @@ class InvariantChecker:
     def _check_basis(self, tap_id: int) -> None:
         """Check that the planner commanded this tap while the observed object was at rest."""
         self._check_planned_pose(tap_id, self._seen)
+        tapper = self._received.get(TapperState)
+        if isinstance(tapper, TapperState) and not tapper.interlock_closed:
+            self.violate(
+                "tap with an open guard",
+                f"tap {tap_id} was commanded although the last state of the tapper that the planner"
+                " received says that the guard is open",
+            )
         if math.isinf(self._image):
             self.violate(
                 "planned without a view",
@@ -832,8 +864,15 @@ class InvariantChecker:
         """Check that the planner's last image of the tapped object was exposed after the last tap
         of the goal. The planner cannot know the smallest delay of its images."""
         self._planned_from[tap_id] = exposed
-        shot = self._last_shot()
+        shot, now = self._last_shot(), self.scheduler.now
         unknown = min((delay for _, delay in self._delays), default=math.inf)
+        if -math.inf < exposed < now - self.longest_view - unknown:
+            self.violate(
+                "planned on a stale image",
+                f"tap {tap_id} was commanded, but the last image of the object that the planner"
+                f" received was exposed {now - exposed:.3f} s before (limit"
+                f" {self.longest_view + unknown:.3f} s)",
+            )
         if exposed < shot - unknown - ROUNDING_S:
             self.violate(
                 "planned on an old image",
@@ -937,6 +976,11 @@ class InvariantChecker:
         if tap_id and tap_id == self._arm[1]:
             self.over_for_arm = tap_id
 
+    def on_withdrawal_received_by_arm(self, tap_id: int) -> None:
+        """Process a withdrawal, received by the arm's process, of the tap that the arm serves."""
+        if tap_id and tap_id == self._arm[1] != self._withdrawn_for_arm[0]:
+            self._withdrawn_for_arm = tap_id, self.scheduler.now
+
     def on_asked(self, process: str, job: str, answer: object | None) -> None:
         """Process the answer that a state machine gives to its running job."""
         if process == "tapper_trigger" and job == "fire":
@@ -970,6 +1014,13 @@ class InvariantChecker:
         if self._goal is not None:
             self.violate("cancel without effect", "the cancelled goal has not ended")
         self._is_crashed_cancelled = True
+
+    def _note_tap_of_second(self) -> None:
+        """Process a tap that a second planner commands, which by mistake uses the same files. It
+        may count for the goal that a planner resumes from these files."""
+        goal = self._goal if self._crashed is None else self._crashed[0]
+        if goal is not None:
+            self._taps_of_second[goal] = self._taps_of_second.get(goal, 0) + 1
 
     def _note_tap(self, message: TapCommand) -> None:
         """Process a command of the planner's process."""
@@ -1115,7 +1166,7 @@ class InvariantChecker:
         commanded = self._taps.get(request, [])
         told = set(commanded) - self._forged
         fired = sum(release.shot in told for release in self.physical.releases)
-        if not fired <= taps <= len(commanded):
+        if not fired <= taps <= len(commanded) + self._taps_of_second.get(request, 0):
             self.violate(
                 "false count",
                 f"{who} {taps} taps, but {fired} of {len(commanded)} commanded taps were fired",

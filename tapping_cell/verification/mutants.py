@@ -788,6 +788,27 @@ MUTANTS: tuple[Mutant, ...] = (
         "",
         kinds=("kill", "stop service", "stop and reset", "emergency stop"),
     ),
+    Mutant(
+        "commands taps while the guard is open",
+        "tapping_cell.logic.cell_monitor",
+        "        if not tapper.interlock_closed:\n",
+        "        if False:\n",
+        kinds=("guard",),
+    ),
+    Mutant(
+        "moves on to the strike pose after a withdrawal",
+        "tapping_cell.logic.arm",
+        "        self._leaving_since = now.steady\n        self._abandon()\n",
+        "        self._leaving_since = now.steady\n",
+        kinds=("cancel", "object moved", "foreign withdrawal"),
+    ),
+    Mutant(
+        "plans on an image of any age",
+        "tapping_cell.logic.cell_monitor",
+        "            and now.steady - self.observed_at(now) <= self._silence_limit\n",
+        "",
+        kinds=("camera",),
+    ),
 )
 
 

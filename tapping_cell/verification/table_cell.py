@@ -7,6 +7,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, fields
 
+import cv2
+import numpy as np
+
 from tapping_cell.configuration.cell import Cell
 from tapping_cell.configuration.objects import ObjectFile
 from tapping_cell.hardware.scara import Joints
@@ -16,6 +19,8 @@ from tapping_cell.simulation.truth import TruthFile
 from tapping_cell.verification.physical_cell import PhysicalCell, Release
 from tapping_cell.verification.scheduler import Scheduler
 
+Outline = tuple[tuple[float, float], ...]
+"""Corners of a convex polygon in ``table``, m."""
 HALF_LENGTH_M, HALF_WIDTH_M = 0.2, 0.13
 """Area of the table, symmetric about its middle, in which people put objects, m."""
 AWAY = Pose(2.0, 2.0, 0.0)
@@ -56,8 +61,12 @@ class PhysicalTable(PhysicalCell):
         """Radius of the largest object, m."""
         self.own = cell.object.name
         """Name of the cell's own object."""
+        self.inner_radius = min(_inner_radius(file) for file in files)
+        """Smallest distance of an outline from the middle of its object, m."""
         self.absent: set[str] = set()
         """Objects that were taken off the table."""
+        self.unknown: tuple[Outline, ...] = ()
+        """Outlines of the objects on the table that have no object file."""
         self._regarded = self.own
         self._seen_at: dict[str, tuple[Pose, Joints, bool]] = {}
 
@@ -85,11 +94,19 @@ class PhysicalTable(PhysicalCell):
         return (
             abs(pose.x) <= HALF_LENGTH_M
             and abs(pose.y) <= HALF_WIDTH_M
+            and all(depth(one, (pose.x, pose.y)) <= -self.radius - gap for one in self.unknown)
             and all(
                 pose.distance_to(world.pose) >= 2.0 * self.radius + gap
                 for other, world in self.table.worlds.items()
                 if other != name
             )
+        )
+
+    def is_free_of_objects(self, outline: Outline, gap: float) -> bool:
+        """Return whether an outline is at least ``gap`` m away from all objects."""
+        return all(
+            depth(outline, (world.pose.x, world.pose.y)) <= -self.radius - gap
+            for world in self.table.worlds.values()
         )
 
     def take_away(self, name: str) -> None:
@@ -124,3 +141,16 @@ class PhysicalTable(PhysicalCell):
             before = pose, joints, self._silhouette_meets(pose, joints)
             self._seen_at[self._regarded] = before
         return before[2]
+
+
+def depth(outline: Outline, point: tuple[float, float]) -> float:
+    """Return how far a point is inside a convex outline, m; negative outside."""
+    corners = np.array(outline, dtype=np.float32)
+    return float(cv2.pointPolygonTest(corners, point, True))
+
+
+def _inner_radius(file: ObjectFile) -> float:
+    corners = file.shape.vertices
+    if corners is None:
+        return file.shape.reach()
+    return depth(tuple((float(x), float(y)) for x, y in corners), (0.0, 0.0))

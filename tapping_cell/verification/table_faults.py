@@ -13,11 +13,19 @@ from tapping_cell.verification.causes import CAMERA
 from tapping_cell.verification.fault_target import FaultTarget, Made, Maker
 from tapping_cell.verification.faults import AT_A_SHOT, MAKERS, draw_duration
 from tapping_cell.verification.table_camera import TableCamera
-from tapping_cell.verification.table_cell import PhysicalTable
+from tapping_cell.verification.table_cell import (
+    HALF_LENGTH_M,
+    HALF_WIDTH_M,
+    Outline,
+    PhysicalTable,
+)
 from tapping_cell.verification.table_invariants import TableInvariantChecker
 
 GAP_M = 0.01
 """Minimum gap between an object that a hand moves and the others, m."""
+LAID_S, UNKNOWN_SIZE_M, UNKNOWN_GAP_M = (2.0, 60.0), (0.01, 0.03), (0.005, 0.05)
+"""Ranges for an object without an object file: time for which it lies on the table, s, distance of
+its corners from its middle, and gap to the object behind which it is laid, m."""
 HIDDEN_S, REMOVED_S = (0.1, 4.0), (0.5, 60.0)
 """Ranges of the time for which another object is hidden, or taken off the table, s. After 5 s
 without observation, the planner assumes that an object was removed."""
@@ -101,6 +109,46 @@ def _removed(rng: np.random.Generator, trial: FaultTarget) -> Made:
     return strike, f"'{name}' taken off the table for {lasting:.1f} s"
 
 
+def _unknown_laid(rng: np.random.Generator, trial: FaultTarget) -> Made:
+    """Somebody lays an object without an object file on the table and takes it away later. It often
+    lies behind an object that is to be tapped, where the striker would be placed."""
+    behind, lasting = rng.random() < 0.7, draw_duration(rng, *LAID_S)
+    size, gap = float(rng.uniform(*UNKNOWN_SIZE_M)), float(rng.uniform(*UNKNOWN_GAP_M))
+    turn, choice = float(rng.normal(0.0, 0.3)), int(rng.integers(1000))
+    place = rng.uniform((-HALF_LENGTH_M, -HALF_WIDTH_M), (HALF_LENGTH_M, HALF_WIDTH_M))
+    corners = rng.uniform(-math.pi, math.pi) + np.linspace(
+        0.0, 2.0 * math.pi, int(rng.integers(3, 7)), endpoint=False
+    )
+
+    def middle(t: FaultTarget) -> tuple[float, float]:
+        table, _, checker = _parts(t)
+        goals = list(checker.tapped_goals().items())
+        if not behind or not goals:
+            return float(place[0]), float(place[1])
+        name, goal = goals[choice % len(goals)]
+        here = table.pose_of(name, t.scheduler.now)
+        back = math.atan2(here.y - goal.y, here.x - goal.x) + turn
+        way = table.radius + gap + size
+        return here.x + way * math.cos(back), here.y + way * math.sin(back)
+
+    def strike(t: FaultTarget) -> None:
+        table, (x, y) = _parts(t)[0], middle(t)
+        outline = tuple(
+            # Messages have single precision.
+            (float(np.float32(x + size * math.cos(a))), float(np.float32(y + size * math.sin(a))))
+            for a in corners
+        )
+        if not table.unknown and table.is_free_of_objects(outline, 0.5 * UNKNOWN_GAP_M[0]):
+            table.unknown = (outline,)
+            t.scheduler.after(lasting, partial(take_away, table, outline))
+
+    def take_away(table: PhysicalTable, outline: Outline) -> None:
+        table.unknown = tuple(one for one in table.unknown if one is not outline)
+
+    where = "behind a tapped object" if behind else "somewhere"
+    return strike, f"unknown object {where} for {lasting:.1f} s"
+
+
 def _late_states(rng: np.random.Generator, trial: FaultTarget) -> Made:
     topic, towards = LINKS[int(rng.integers(len(LINKS)))]
     delay, lasting = draw_duration(rng, 0.05, 2.0), draw_duration(rng, 0.2, 6.0)
@@ -117,6 +165,7 @@ OTHERS: dict[str, Maker] = {
     "other object turned": _turned,
     "other object hidden": _hidden,
     "other object removed": _removed,
+    "unknown object": _unknown_laid,
     "late object states": _late_states,
 }
 TABLE_MAKERS: dict[str, Maker] = {**MAKERS, **OTHERS}
@@ -124,7 +173,7 @@ TABLE_AT_A_SHOT = (
     *AT_A_SHOT,
     *("other object moved",) * 12,
     *("other object turned", "other object hidden", "other object removed") * 3,
-    *("late object states",) * 3,
+    *("late object states", "unknown object") * 3,
 )
 TABLE_CAUSES: dict[int, frozenset[str]] = dict.fromkeys(
     (

@@ -8,6 +8,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 
+import numpy as np
+
 from tapping_cell.logic.arm_in_view import may_hide
 from tapping_cell.logic.clock import to_nanoseconds
 from tapping_cell.logic.poses import from_message
@@ -17,15 +19,17 @@ from tapping_cell.messages import (
     ErrorCode,
     ObjectProgress,
     ObjectState,
+    ObjectStates,
     PlanState,
     PositionObject,
     TapCommand,
+    TapperState,
 )
 from tapping_cell.se2 import Pose
 from tapping_cell.simulation.tabletop import TrueContact
 from tapping_cell.verification.invariants import BUMP_M, ENDED, InvariantChecker
 from tapping_cell.verification.physical_cell import Release
-from tapping_cell.verification.table_cell import PhysicalTable, TableRelease
+from tapping_cell.verification.table_cell import Outline, PhysicalTable, TableRelease, depth
 
 WITHDRAWN_S = 0.15
 """Maximum time from when the planner's process receives that another object was moved until it has
@@ -45,6 +49,8 @@ fired for which this object is in the striker's way, s."""
 CLEAR_M = 0.02
 """If the predicted way of a tapped object is farther than this from another object, m, the tap does
 not move the other object."""
+AXIS_POINTS = 12
+"""Number of points on the axis of the tool at which an overlap is checked."""
 TAPPING = (PlanState.PLACING, PlanState.FIRING)
 
 
@@ -96,6 +102,7 @@ class Asked:
 class TableInvariantChecker(InvariantChecker):
     """Checks a cell with several objects. Times are in s from the start of the run."""
 
+    longest_view: float = 2.1  # the computation of a decision takes some time
     others: dict[str, Sight] = field(default_factory=dict)
     """All objects except the cell's own. The attributes of the base class are those of the cell's
     own object."""
@@ -108,6 +115,13 @@ class TableInvariantChecker(InvariantChecker):
     commanded the tap."""
     _planned_without: dict[int, set[str]] = field(default_factory=dict)
     """For each tap, the objects that counted as removed when the planner commanded the tap."""
+    _planned_with: dict[int, tuple[Outline, ...]] = field(default_factory=dict)
+    """For each tap, the objects without an object file that the planner's process knew when it
+    commanded the tap."""
+    _unknown: tuple[Outline, ...] = ()
+    """Objects without an object file that the planner's process received last."""
+    _searched: float = -math.inf
+    """Exposure of the image in which they were searched for."""
     _withdrawn: set[int] = field(default_factory=set)
     _measured: dict[str, int] = field(default_factory=dict)
     """Stamp (ns) of the last measurement of each other object that the tapper received."""
@@ -182,6 +196,20 @@ class TableInvariantChecker(InvariantChecker):
         if not state.error_code:
             self._check_others_of_tap(topic, state.object_id, pose)
 
+    def on_search_received_by_planner(self, message: ObjectStates) -> None:
+        """Process the outlines of the objects without an object file that the planner's process
+        received. The planner must withdraw its tap if a further one was found."""
+        stamp = to_nanoseconds(message.unknown_searched_at)
+        self._searched = self.exposed(stamp)
+        self._unknown = tuple(
+            tuple((point.x, point.y) for point in outline.points)
+            for outline in message.unknown_objects
+        )
+        known = self._planned_with.get(self._tap)
+        found = known is not None and any(outline not in known for outline in self._unknown)
+        if found and self._waiting[0] in TAPPING:
+            self._expect_withdrawal("an unknown object was found")
+
     def _may_be_covered(self, pose: Pose) -> bool:
         """Return whether the arm may hide an object at a pose from the camera."""
         physical, shape = self.physical, self.physical.cell.object
@@ -209,19 +237,24 @@ class TableInvariantChecker(InvariantChecker):
     def _check_others_of_tap(self, topic: str, name: str, pose: Pose) -> None:
         """Check that the planner withdraws its tap if it receives that another object was moved, or
         put on the table, since it commanded the tap."""
-        tap, now = self._tap, self.scheduler.now
+        tap = self._tap
         before = self._planned_among.get(tap, {}).get(name)
         appeared = name in self._planned_without.get(tap, ())
         if topic != self._sources()[1] or self._waiting[0] not in TAPPING:
             return
         if not appeared and (before is None or before.distance_to(pose) <= BUMP_M):
             return
-        if tap in self._withdrawn:
-            return
         change = "appeared"
         if before is not None:
             change = f"was moved by {1e3 * before.distance_to(pose):.1f} mm"
-        goal = self._goal
+        self._expect_withdrawal(f"'{name}' {change}")
+
+    def _expect_withdrawal(self, change: str) -> None:
+        """Check that the planner soon withdraws its tap, because of a change of the scene that its
+        process has received."""
+        tap, goal, now = self._tap, self._goal, self.scheduler.now
+        if tap in self._withdrawn:
+            return
 
         def check() -> None:
             frozen = self.planner_frozen_until() > now or not math.isinf(self.planner_gone_since)
@@ -230,7 +263,7 @@ class TableInvariantChecker(InvariantChecker):
                 self.violate(
                     "tap not withdrawn",
                     f"the planner has not withdrawn tap {tap}, although it received {WITHDRAWN_S:g}"
-                    f" s ago that '{name}' {change} after the tap was planned",
+                    f" s ago that {change} after the tap was planned",
                 )
                 self._withdrawn.add(tap)
 
@@ -312,7 +345,7 @@ class TableInvariantChecker(InvariantChecker):
             if told.newest is None or unseen > MEMORY_S - MEMORY_SLACK_S:
                 continue
             reference[name] = told.newest
-            radius = self._table.radius
+            radius = self._table.inner_radius
             if told.newest.distance_to(tip) < radius - OVERLAP_M:
                 self.violate(
                     "tip in another object",
@@ -325,6 +358,67 @@ class TableInvariantChecker(InvariantChecker):
                     f"after tap {tap_id}, '{tapped}' would overlap '{name}' as the planner had last"
                     " observed it",
                 )
+
+        self._check_unknown(tap_id, tip, predicted)
+        if self._view_is_clear() and self._searched < since - STALE_S:
+            self.violate(
+                "table not searched",
+                f"tap {tap_id} was commanded, but the planner has not received a search for objects"
+                " without an object file that was made since the last tap or the beginning of the"
+                f" goal ({now - since:.2f} s ago)",
+            )
+
+    def _view_is_clear(self) -> bool:
+        """Return whether the devices' states that the planner received last say that the camera's
+        view is clear. Otherwise, the table is not searched."""
+        arm, tapper = self._received.get(ArmState), self._received.get(TapperState)
+        return (
+            isinstance(arm, ArmState)
+            and isinstance(tapper, TapperState)
+            and arm.state == ArmState.IDLE
+            and arm.clear_of_camera
+            and tapper.state == TapperState.SAFE
+        )
+
+    def _check_unknown(self, tap_id: int, tip: Pose, predicted: Pose) -> None:
+        """Check that neither the tool at the strike pose nor the object at its predicted pose
+        overlaps an object without an object file."""
+        self._planned_with[tap_id] = self._unknown
+        for outline in self._unknown:
+            x, y = np.mean(outline, axis=0)
+            inside = max(depth(outline, part) for part in self._axis_of_tool(tip))
+            inside += self.physical.cell.file.tapper.tool_radius
+            if inside > OVERLAP_M:
+                self.violate(
+                    "tool in an unknown object",
+                    f"at the strike pose of tap {tap_id}, the tool would overlap the unknown object"
+                    f" at x {1e3 * x:.0f} mm, y {1e3 * y:.0f} mm, which the planner knew, by"
+                    f" {1e3 * inside:.0f} mm",
+                )
+            inside = depth(outline, (predicted.x, predicted.y)) + self._table.inner_radius
+            if inside > OVERLAP_M:
+                self.violate(
+                    "planned into an unknown object",
+                    f"after tap {tap_id}, the object would overlap the unknown object at x"
+                    f" {1e3 * x:.0f} mm, y {1e3 * y:.0f} mm, which the planner knew, by"
+                    f" {1e3 * inside:.0f} mm",
+                )
+
+    def _axis_of_tool(self, tip: Pose) -> list[tuple[float, float]]:
+        """Return points on the axis of the tool, which is a bar behind the tip."""
+        tapper = self.physical.cell.file.tapper
+        behind = np.linspace(tapper.tool_start, tapper.tool_length, AXIS_POINTS)
+        x, y = tip.x - behind * math.cos(tip.theta), tip.y - behind * math.sin(tip.theta)
+        return list(zip(x.tolist(), y.tolist(), strict=True))
+
+    def tapped_goals(self) -> Mapping[str, Pose]:
+        """Return the goals of the objects that the planner's present goal moves; empty if there is
+        none."""
+        if self._goal is None:
+            return {}
+        if self._goal in self.asked:
+            return self.asked[self._goal].goals
+        return {self._table.own: self._requests[self._goal][0]}
 
     # Releases
 

@@ -117,6 +117,7 @@ class TableTrial(Trial):
             CAMERA_SIGMA,
             self._names,
             self._observe_other,
+            lambda: self.physical.unknown,
         )
 
     def _observe_other(self, name: str, time: float) -> Pose | None:
@@ -130,6 +131,7 @@ class TableTrial(Trial):
     def next_goal(self, number: int) -> Pose:
         """Choose the next goal at random: of the cell's own object, of another object, or an
         arrangement. Return the goal of its first object."""
+        self.physical.unknown = ()  # a person clears the table before the next goal
         rng, own = self._goal_rng, self.cell.object.name
         kind = rng.random()
         if kind < OWN_GOAL:
@@ -286,7 +288,8 @@ class TableTrial(Trial):
         )
 
     def _put_back(self) -> None:
-        """Spread the objects on the table."""
+        """Spread the objects on the table, and take away those without an object file."""
+        self.physical.unknown = ()
         now = self.scheduler.now
         for name, world in self.physical.table.worlds.items():
             if name in self.physical.absent:
@@ -308,5 +311,6 @@ class TableTrial(Trial):
         if topic == "object_states":
             for state in message.objects:
                 self.checker.on_object_received_by_planner(topic, state)
+            self.checker.on_search_received_by_planner(message)
         elif topic in ("object_state", "other_objects"):
             self.checker.on_object_received_by_planner(topic, message)

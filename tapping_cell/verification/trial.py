@@ -641,7 +641,7 @@ class Trial:
             options = ArmOptions(set_up=self.set_up, draw_key=lambda: int(draw.integers(1, 2**63)))
             driver = make_arm_driver(cell.arm, arm_line)
             return ArmLogic(options), CheckedArm(
-                driver, self.checker.check_move, self.checker.check_speed
+                driver, self.checker.check_move, self.checker.check_start
             )
 
         def tapper() -> tuple[TapperLogic, TapperDriver]:
@@ -1534,6 +1534,8 @@ class Trial:
             self._taken[message.tap_id] = message.header.stamp
             self.checker.on_tap_received(message)
         withdrawn = topic == "tap_command" and message.request == TapCommand.WITHDRAW
+        if withdrawn and process == "scara_arm":
+            self.checker.on_withdrawal_received_by_arm(message.tap_id)
         if withdrawn and process == "tapper_trigger" and message.tap_id in self._taken:
             self.checker.ended_taps.setdefault(message.tap_id, now)
 

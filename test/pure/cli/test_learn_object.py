@@ -55,6 +55,13 @@ def test_an_object_file_is_learnt_from_runs(
     words = ["learn-object", *runs, "--object", str(own), "--output", str(made), "--json"]
     assert main(words) == 0
     result = json.loads(capsys.readouterr().out)
+    comparison = tmp_path / "comparison.html"
+    comparison.write_text("")
+    again = ["learn-object", *runs, str(comparison), "--object", str(own), "--json"]
+    assert main(again) == 0
+    output = capsys.readouterr()
+    assert json.loads(output.out) == result
+    assert f"{comparison} is not a run: skipped" in output.err
     assert result["taps"] == 10 and result["left_out"] == 0
     # The results are as commanded, so the learnt values equal those of the object file in use.
     assert load_object(made).friction == pytest.approx(load_cell().object.friction, rel=0.02)

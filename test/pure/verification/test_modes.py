@@ -121,9 +121,10 @@ def test_a_check_that_is_passed_without_the_device_is_detected(trial: Trial) -> 
 
 
 def test_a_move_that_is_too_fast_is_detected(trial: Trial) -> None:
-    trial.checker.check_speed(0.25)
+    joints = trial.physical.joints(0.0)
+    trial.checker.check_start(joints, 0.25)
     assert found(trial) == set()
-    trial.checker.check_speed(0.26)
+    trial.checker.check_start(joints, 0.26)
     assert found(trial) == {"too fast for set-up"}
 
 
