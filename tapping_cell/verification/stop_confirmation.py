@@ -113,12 +113,11 @@ class StopConfirmation:
         """Check the answer to a request; return whether the request has cleared the node's stop.
         ``volatile``: publishers that are volatile now."""
         node = request.node
-        if not success:
-            if INSTRUCTION in sentence:
-                self._refused.setdefault(node, []).append(now)
-            return False
+        if not success and INSTRUCTION in sentence:
+            self._refused.setdefault(node, []).append(now)
         if node not in self._cleared:
             return False
+        # An internal error may have followed after the stop was cleared.
         silent = sorted(volatile & request.volatile)
         waited = min(
             (

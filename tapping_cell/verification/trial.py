@@ -1300,12 +1300,20 @@ class Trial:
         request = self._requests.pop(token, None)
         if request is None:
             return
+        self._note_answer(request, response)
+        if INSTRUCTION not in response.message:
+            # After an internal error, the node publishes only after this answer that the stop was
+            # cleared, if it was.
+            self.scheduler.after(0.0, partial(self._note_answer, request, response))
+        elif self._faulty:
+            self._interrupt_confirmation()
+
+    def _note_answer(self, request: ClearRequest, response: Trigger.Response) -> None:
+        """Check the answer to a request to clear, if it has cleared the node's stop."""
         volatile, now = self.network.volatile("emergency_stop"), self.scheduler.now
         said = response.success, response.message
         if self.confirmation.on_answer(request, *said, volatile, now):
             self.checker.stopped_at.pop(request.node, None)
-        elif INSTRUCTION in response.message and self._faulty:
-            self._interrupt_confirmation()
 
     def _interrupt_confirmation(self) -> None:
         """At a refusal that asks a person to confirm, sometimes press a further panel, or let the
