@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from tapping_cell.logic.clock import to_nanoseconds, to_stamp
 from tapping_cell.logic.poses import covariance_to_message, to_message
-from tapping_cell.messages import ObjectState, PoseWithCovariance
+from tapping_cell.messages import ErrorCode, ObjectState, PoseWithCovariance
 from tapping_cell.se2 import Pose
 from tapping_cell.verification.scheduler import Scheduler
 from tapping_cell.vision.rest_detection import RestSettings, Track
@@ -27,7 +27,6 @@ LATENCY_S = 0.02
 """Time from the exposure to the publication of the pose."""
 SILENCE_LIMIT_S = 0.4
 """Time without a frame after which the node reports that the camera sends no images."""
-CAMERA_SILENT = 301
 
 
 @dataclass(slots=True)
@@ -95,7 +94,7 @@ class Camera:
         if now < faults.lost_until:
             if now - self._sent_at > SILENCE_LIMIT_S and now - self._silence_reported_at > 0.4:
                 self._silence_reported_at = now
-                self._send(self._state(self._ros_now(), CAMERA_SILENT))
+                self._send(self._state(self._ros_now(), ErrorCode.CAMERA_SILENT))
             return
         self._sent_at = now
         delay = LATENCY_S + (faults.late_by if now < faults.late_until else 0.0)

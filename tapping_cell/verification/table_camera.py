@@ -10,6 +10,7 @@ import numpy as np
 from tapping_cell.logic.clock import to_nanoseconds, to_stamp
 from tapping_cell.messages import (
     ArmState,
+    ErrorCode,
     ObjectState,
     ObjectStates,
     PlanState,
@@ -17,7 +18,7 @@ from tapping_cell.messages import (
     Polygon,
 )
 from tapping_cell.se2 import Pose
-from tapping_cell.verification.camera import CAMERA_SILENT, Camera
+from tapping_cell.verification.camera import Camera
 from tapping_cell.verification.network import Network
 from tapping_cell.verification.scheduler import Scheduler
 from tapping_cell.verification.table_cell import Outline
@@ -139,7 +140,7 @@ class TableCamera(Camera):
 
     def _send(self, state: ObjectState) -> None:
         super()._send(state)
-        if not self.alive or state.error_code == CAMERA_SILENT:
+        if not self.alive or state.error_code == ErrorCode.CAMERA_SILENT:
             return
         for other in self._found.pop(to_nanoseconds(state.header.stamp), []):
             self._sent[other.object_id] = other
