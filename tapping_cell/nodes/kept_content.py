@@ -8,6 +8,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+from tapping_cell.durable_file import part_of, replace_text
 from tapping_cell.logic.effects import Content
 
 
@@ -24,17 +25,12 @@ class KeptContent:
             self._path.unlink(missing_ok=True)
             return
         self._path.parent.mkdir(parents=True, exist_ok=True)
-        part = self._path.with_suffix(".part")
-        with part.open("w", encoding="utf-8") as file:
-            json.dump(dict(content), file)
-            file.flush()
-            os.fsync(file.fileno())
-        part.replace(self._path)
+        replace_text(self._path, json.dumps(dict(content)))
 
     def require_writable(self) -> None:
         """Raise OSError if content could not be stored."""
         self._path.parent.mkdir(parents=True, exist_ok=True)
-        part = self._path.with_suffix(".part")
+        part = part_of(self._path)
         part.write_text("{}", encoding="utf-8")
         part.unlink()
 

@@ -15,6 +15,7 @@ import os
 import re
 from pathlib import Path
 
+from tapping_cell.durable_file import replace_text
 from tapping_cell.planning.errors import PlanningError
 from tapping_cell.planning.gains import Gains
 
@@ -40,12 +41,7 @@ def keep_gains(object_name: str, cell: str, gains: Gains) -> Path:
     path = gains_file(object_name, cell)
     path.parent.mkdir(parents=True, exist_ok=True)
     content = {"object": object_name, **gains.as_numbers()}
-    part = path.with_suffix(".part")
-    with part.open("w", encoding="utf-8") as file:
-        json.dump(content, file, indent=2)
-        file.flush()
-        os.fsync(file.fileno())  # so that a loss of power leaves either the old or the new content
-    part.replace(path)
+    replace_text(path, json.dumps(content, indent=2))
     return path
 
 

@@ -6,10 +6,11 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+from tapping_cell.durable_file import replace_text
 from tapping_cell.report.arrangement_page import write_page
 from tapping_cell.report.arrangement_reader import read_arranged_run
 from tapping_cell.report.arrangement_run import SUMMARY, ArrangementRun, to_content
-from tapping_cell.report.run_folder import BAG, replace_text
+from tapping_cell.report.run_folder import BAG
 
 
 def write_arrangement_folder(

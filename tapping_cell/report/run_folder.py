@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from tapping_cell.durable_file import replace_text
 from tapping_cell.report.bag import BagError
 from tapping_cell.report.run import (
     FAILED,
@@ -259,13 +260,6 @@ def write_illustrated_run(folder: Path, illustrated: IllustratedRun, pictures: b
 
         draw_cell(run, folder / CELL)
         replace_text(folder / PAGE, page(illustrated))
-
-
-def replace_text(path: Path, text: str) -> None:
-    """Write a file atomically."""
-    fresh = path.with_name(f".{path.name}")
-    fresh.write_text(text, encoding="utf-8")
-    os.replace(fresh, path)
 
 
 def read_run(folder: Path) -> Run:

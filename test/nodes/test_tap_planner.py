@@ -37,6 +37,7 @@ from tapping_cell_msgs.msg import (
 )
 
 from tapping_cell import messages
+from tapping_cell.durable_file import part_of
 from tapping_cell.logic.effects import KeepGoal, Publish
 from tapping_cell.logic.poses import covariance_to_message
 from tapping_cell.nodes.cell_node import BEST_EFFORT_COMMAND, COMMAND, LATCHED
@@ -250,7 +251,7 @@ def test_a_stored_goal_that_cannot_be_updated_is_deleted(tmp_path: Path) -> None
         folder = tmp_path / ".ros" / "tapping_cell"
         made.bench.wait(lambda: list(folder.glob("domain*/goal.json")), "the stored goal")
         (kept,) = folder.glob("domain*/goal.json")
-        kept.with_suffix(".part").mkdir()  # no new content can be written
+        part_of(kept).mkdir()  # no new content can be written
         made.arm_active = True
         made.bench.wait(made.taps, "a tap")
         assert not kept.exists(), "a restart would resume the goal with an old number of taps"

@@ -15,11 +15,12 @@ PACKAGE = Path(__file__).resolve().parents[2] / "tapping_cell"
 # subpackage may import itself.
 ARROWS = {
     "se2": set(),
+    "durable_file": set(),
     "messages": set(),
     "mechanics": {"se2"},
     "vision": {"se2"},
     "hardware": {"se2"},
-    "planning": {"se2", "mechanics"},
+    "planning": {"se2", "durable_file", "mechanics"},
     "configuration": {"se2", "mechanics", "vision", "hardware", "planning"},
     # The simulation uses the protocols of the devices and renders the camera's images.
     "simulation": {
@@ -32,7 +33,7 @@ ARROWS = {
         "configuration",
     },
     "calibration": {"se2", "mechanics", "vision", "hardware", "configuration"},
-    "report": {"se2", "mechanics", "planning", "configuration"},
+    "report": {"se2", "durable_file", "mechanics", "planning", "configuration"},
     "logic": {"se2", "messages", "hardware", "planning", "vision", "configuration"},
     "verification": {
         "se2",
@@ -47,6 +48,7 @@ ARROWS = {
     },
     "nodes": {
         "se2",
+        "durable_file",
         "messages",
         "logic",
         "mechanics",
@@ -60,6 +62,7 @@ ARROWS = {
     },
     "cli": {
         "se2",
+        "durable_file",
         "messages",
         "logic",
         "verification",

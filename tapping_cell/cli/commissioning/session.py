@@ -6,7 +6,6 @@ from __future__ import annotations
 import contextlib
 import io
 import json
-import os
 import threading
 import time
 from collections.abc import Iterator, Mapping
@@ -23,6 +22,7 @@ from tapping_cell.cli.errors import ExitStatus
 from tapping_cell.cli.graph import HARDWARE, SIMULATED, Graph, with_own_ports
 from tapping_cell.configuration.cell import Cell, load_cell
 from tapping_cell.configuration.schema import ConfigurationError
+from tapping_cell.durable_file import replace_text
 from tapping_cell.logic import enabling
 from tapping_cell.nodes.cell_node import COMMAND
 from tapping_cell.nodes.clients.client_node import ClientNode
@@ -115,12 +115,7 @@ class Session:
 
     def _write(self, proofs: Mapping[str, Mapping[str, Any]]) -> None:
         content = {"hardware": self.hardware, "steps": proofs}
-        temporary = self.folder / (RECORD + ".part")
-        with temporary.open("w", encoding="utf-8") as file:
-            file.write(json.dumps(content, indent=1) + "\n")
-            file.flush()
-            os.fsync(file.fileno())  # so that a loss of power leaves the old or the new content
-        temporary.replace(self.folder / RECORD)
+        replace_text(self.folder / RECORD, json.dumps(content, indent=1) + "\n")
 
     def prove(self, step: str, proof: Proof, seconds: float) -> None:
         """Store a step's measurements. Raises as :meth:`save`."""
