@@ -206,6 +206,22 @@ def move_durations(
     return np.where(ramp <= at_speed, at_speed + ramp, 2 * np.sqrt(pull))
 
 
+def speed_for(
+    geometry: ScaraGeometry, start: Sequence[float], goal: Sequence[float], duration: float
+) -> float:
+    """Return the speed at which a move as in :func:`move_duration` takes ``duration`` s, as a
+    fraction of the maximum joint speeds; 1 if the move takes longer than that even at full speed.
+    """
+    distances = np.abs(np.asarray(goal, dtype=float) - np.asarray(start, dtype=float))
+    at_full_speed = float(np.max(distances / np.array(geometry.max_speed)))
+    pull = float(np.max(distances / np.array(geometry.max_acceleration)))
+    if at_full_speed == 0.0 or duration**2 <= 4.0 * pull:
+        return 1.0
+    # The duration is x + pull / x, where x is the time of the move without its ramps.
+    without_ramps = 0.5 * (duration + math.sqrt(duration**2 - 4.0 * pull))
+    return min(1.0, at_full_speed / without_ramps)
+
+
 def path_duration(
     geometry: ScaraGeometry, start: Sequence[float], path: Sequence[Waypoint]
 ) -> float:

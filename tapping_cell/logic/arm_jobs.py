@@ -12,7 +12,7 @@ from tapping_cell.hardware.faults import HardwareFault
 from tapping_cell.hardware.motion import (
     MotionSettings,
     Waypoint,
-    move_duration,
+    speed_for,
     strike_path,
     withdraw_path,
 )
@@ -158,8 +158,7 @@ def follow(
     _wait_until_free(context, not_before, free_at, driver.read_joints)
     here, before, complete = driver.read_joints(), 0.0, True
     for target, at in targets:
-        fastest = move_duration(driver.geometry, here, target, 1.0)
-        speed = min(1.0, fastest / (at - before)) if at > before else 1.0
+        speed = speed_for(driver.geometry, here, target, at - before) if at > before else 1.0
         waypoint = Waypoint(target, scale * speed, "trajectory")
         if speed > 0 and not _move_along(context, (waypoint,)):
             complete = False

@@ -15,6 +15,7 @@ from tapping_cell.hardware.motion import (
     check_limits,
     move_duration,
     path_duration,
+    speed_for,
     strike_durations,
     strike_path,
     withdraw_path,
@@ -128,6 +129,18 @@ def test_the_duration_is_that_of_the_slowest_joint(
             single = max(single, profile.end)
     assert duration >= single - 1e-9
     assert duration <= 2 * single + 1e-9
+
+
+@given(joint_values, joint_values, st.floats(0.001, 20.0))
+def test_a_move_takes_the_time_that_was_asked_for(
+    start: Joints, goal: Joints, duration: float
+) -> None:
+    fastest = move_duration(GEOMETRY, start, goal, 1.0)
+    speed = speed_for(GEOMETRY, start, goal, duration)
+    took = move_duration(GEOMETRY, start, goal, speed)
+    assert 0.0 < speed <= 1.0
+    if start != goal:
+        assert took == pytest.approx(max(fastest, duration), rel=1e-6)
 
 
 def test_path_duration_adds_the_moves() -> None:
