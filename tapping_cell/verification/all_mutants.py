@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from tapping_cell.verification.command_mutants import COMMAND_MUTANTS
 from tapping_cell.verification.exception_mutants import EXCEPTION_MUTANTS
 from tapping_cell.verification.fixed_mutants import FIXED_MUTANTS
 from tapping_cell.verification.mode_mutants import MODE_MUTANTS
@@ -12,6 +13,7 @@ ALL_MUTANTS: tuple[Mutant, ...] = (
     *FIXED_MUTANTS,
     *MODE_MUTANTS,
     *TABLE_MUTANTS,
+    *COMMAND_MUTANTS,
     *EXCEPTION_MUTANTS,
     *MUTANTS,
 )

@@ -38,6 +38,9 @@ class CameraFaults:
     late_by: float = 0.0
     repeated_until: float = -math.inf
     hidden_until: float = -math.inf
+    unusable_until: float = -math.inf
+    unusable_code: int = 0
+    """Error code of the frames that the node cannot use."""
     wrong_until: float = -math.inf
     wrong_by: Pose = field(default_factory=lambda: Pose(0.0, 0.0, 0.0))
 
@@ -104,7 +107,10 @@ class Camera:
             self._scheduler.at(due, lambda: self._send(repeated))
             return
         true = None if now < faults.hidden_until else self._true_pose(now)
-        self._last = state = self._observe(true, now)
+        if now < faults.unusable_until:
+            self._last = state = self._state(self._ros_now(), faults.unusable_code)
+        else:
+            self._last = state = self._observe(true, now)
         self._scheduler.at(due, lambda: self._send(state))
 
     def _send(self, state: ObjectState) -> None:
@@ -116,7 +122,7 @@ class Camera:
         state.header.stamp = to_stamp(stamp)
         state.header.frame_id = "table"
         if code:
-            state.error_msg = f"no image for {SILENCE_LIMIT_S:.1f} s; check the camera"
+            state.error_msg = "no image, or an image that cannot be used; check the camera"
         return state
 
     def _observe(self, true: Pose | None, now: float) -> ObjectState:

@@ -91,6 +91,9 @@ class FaultTarget(Protocol):
     def press_emergency_stop(self, duration: float) -> None:
         """Hold the emergency stop of the panel for ``duration`` s."""
 
+    def repeat_emergency_stop(self) -> None:
+        """Let the panel repeat its level while its emergency stop is held."""
+
     def press_further_panel(self, press: PanelPress) -> None:
         """Press the emergency stop of a further panel, which may vanish while it is pressed."""
 
@@ -113,6 +116,10 @@ class FaultTarget(Protocol):
 
     def change_ask(self, ask: bool) -> None:
         """Tell the planner whether to ask before every tap."""
+
+    def press_stop_button(self, share: float) -> None:
+        """Press the stop button that is wired to a board of the tapper; ``share``, from 0 to 1,
+        selects the board."""
 
     def call_stop(self, node: str) -> None:
         """Call a node's service ``stop``."""

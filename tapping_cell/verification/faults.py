@@ -16,13 +16,16 @@ from tapping_cell.logic.clock import to_stamp
 from tapping_cell.logic.host import Activated, Deactivated
 from tapping_cell.logic.peer_clock import WINDOW_S
 from tapping_cell.logic.planner import PlannerLogic
+from tapping_cell.logic.poses import to_message
 from tapping_cell.logic.tapper import TapperLogic
 from tapping_cell.messages import (
     ArmState,
+    ErrorCode,
     HoldStill,
     JointTrajectory,
     JointTrajectoryPoint,
     PlanState,
+    PoseStamped,
     TapCommand,
     TapperState,
 )
@@ -33,7 +36,9 @@ from tapping_cell.verification.causes import BRIEFLY_OPEN, BRIEFLY_RELEASED, LAS
 from tapping_cell.verification.fault_target import FaultTarget, Made, Maker
 from tapping_cell.verification.further_panels import PanelPress
 from tapping_cell.verification.host import PlannedFreeze
+from tapping_cell.verification.invalid_goals import draw_wrong_goal
 from tapping_cell.verification.people import KEY, SWITCH
+from tapping_cell.verification.trajectories import WRONG, draw_trajectory
 
 SPAN_S = 16.0
 """The faults of a goal are injected within this time after the goal is sent, s."""
@@ -44,6 +49,17 @@ SHARE_AT_THE_SHOT = 0.5
 """Fraction of the goals whose faults all occur just after a certain step of a shot."""
 CLOSE_S = 0.3
 """Maximum time from the published state, or from the step of a shot, to the faults."""
+SHARE_OF_LOST_ANSWERS = 0.2
+"""Fraction of the delays of ``hold_still`` that exceed the tapper's timeout."""
+SHARE_OF_LONG_HOLDS, LONG_HOLD_S = 0.2, (1.0, 600.0)
+"""Fraction of the requests of another node for which the arm should stand still for longer than a
+shot takes, and the range of the duration, s."""
+SHARE_OF_LATE_ACTIVATIONS, LATE_ACTIVATION_S = 0.2, (5.0, 60.0)
+"""Fraction of the planners that crash and are activated late, and the range of the time from their
+start to their activation, s."""
+SHARE_OF_LOST_COMPUTERS, CAMERA_AWAY_S = 0.2, (15.0, 40.0)
+"""Fraction of the tappers that are killed together with the camera, and the range of the time until
+the camera is started again, s."""
 FLOOD_HZ = 100.0
 """Rate at which a foreign node floods a topic."""
 CLOSEST_S = 2e-4
@@ -231,7 +247,27 @@ def _freeze_after_check(rng: np.random.Generator, trial: FaultTarget) -> Made:
 
 def _kill(rng: np.random.Generator, trial: FaultTarget) -> Made:
     node, away = _pick(rng, (*trial.nodes, "camera_pose")), draw_duration(rng, 0.2, 25.0)
-    return lambda t: t.kill(node, away), f"{node} killed, restarted after {away:.1f} s"
+    description = f"{node} killed, restarted after {away:.1f} s"
+    late = float(rng.uniform(*LATE_ACTIVATION_S))
+    is_late = node == "tap_planner" and rng.random() < SHARE_OF_LATE_ACTIVATIONS
+    camera_away = float(rng.uniform(*CAMERA_AWAY_S))
+    with_camera = node == "tapper_trigger" and rng.random() < SHARE_OF_LOST_COMPUTERS
+
+    def strike(t: FaultTarget) -> None:
+        if with_camera:
+            t.kill("camera_pose", camera_away)
+            t.note_disturbance(camera_away)
+        t.kill(node, away)
+        if is_late:
+            t.processes[node].activation_delay = late
+            t.note_kind("deactivate")
+            t.note_disturbance(away + late)
+
+    if is_late:
+        description += f" and activated {late:.1f} s after its start"
+    if with_camera:
+        description += f"; the camera is killed, too, and restarted after {camera_away:.1f} s"
+    return strike, description
 
 
 def _restart(rng: np.random.Generator, trial: FaultTarget) -> Made:
@@ -349,6 +385,8 @@ def _foreign_hold(rng: np.random.Generator, trial: FaultTarget) -> Made:
     that the tap is over and withdraw the tap; the arm receives this withdrawal immediately, but the
     tapper receives it late."""
     back, duration = int(rng.integers(0, 2)), float(rng.uniform(0.01, 0.3))
+    if rng.random() < SHARE_OF_LONG_HOLDS:
+        duration = draw_duration(rng, *LONG_HOLD_S)
     later, late = draw_duration(rng, 0.001, 0.05), float(rng.uniform(0.03, 0.6))
     sends, claims = rng.random() < 0.7, bool(rng.random() < 0.3)
     outcome = TapperState.FIRED if rng.random() < 0.5 else TapperState.NOT_FIRED
@@ -474,14 +512,18 @@ def _repeated_command(rng: np.random.Generator, trial: FaultTarget) -> Made:
 
 
 def _slow_answer(rng: np.random.Generator, trial: FaultTarget) -> Made:
-    """Delay the request and the answer of ``hold_still``, each by up to the tapper's timeout."""
+    """Delay the request and the answer of ``hold_still``, each by up to the tapper's timeout, or
+    the answer by more than that."""
     delays = {("hold_still", way): float(rng.uniform(0.0, 0.2)) for way in ("request", "answer")}
     if rng.random() < 0.5:
         delays.pop(("hold_still", _pick(rng, ("request", "answer"))))
     lasting = draw_duration(rng, 0.2, 6.0)
+    if rng.random() < SHARE_OF_LOST_ANSWERS:
+        delays, lasting = {("hold_still", "answer"): float(rng.uniform(0.5, 2.0))}, 12.0
 
     def strike(t: FaultTarget) -> None:
         t.network.faults.slow.update(delays)
+        t.note_disturbance(lasting)
         for link in delays:
             t.scheduler.after(lasting, partial(t.network.end_delay, *link))
 
@@ -600,15 +642,26 @@ def _second_node(rng: np.random.Generator, trial: FaultTarget) -> Made:
 
 
 def _trajectory(rng: np.random.Generator, trial: FaultTarget) -> Made:
-    joints = [float(v) for v in rng.uniform((-0.5, 0.5, -0.05, -1.0), (1.0, 1.8, 0.0, 1.0))]
+    message = draw_trajectory(rng, trial.joint_names)
+    return partial(_send_trajectory, message), (
+        f"a joint_trajectory with {len(message.points)} points from another node"
+    )
+
+
+def _invalid_trajectory(rng: np.random.Generator, trial: FaultTarget) -> Made:
+    wrong = _pick(rng, WRONG)
+    message = draw_trajectory(rng, trial.joint_names, wrong)
 
     def strike(t: FaultTarget) -> None:
-        point = JointTrajectoryPoint(positions=joints)
-        message = JointTrajectory(joint_names=list(t.joint_names), points=[point])
-        point.time_from_start.sec = 3
-        t.network.publish("somebody_else", "joint_trajectory", message)
+        if t.checker.arm_checker is not None:
+            t.checker.arm_checker.on_invalid_trajectory(message, wrong)
+        _send_trajectory(message, t)
 
-    return strike, "a joint_trajectory from another node"
+    return strike, f"an invalid joint_trajectory from another node: {wrong}"
+
+
+def _send_trajectory(message: JointTrajectory, trial: FaultTarget) -> None:
+    trial.network.publish("somebody_else", "joint_trajectory", message)
 
 
 def _fast_trajectory(rng: np.random.Generator, trial: FaultTarget) -> Made:
@@ -720,8 +773,17 @@ def _power(rng: np.random.Generator, trial: FaultTarget) -> Made:
     )
 
 
+UNUSABLE = (
+    ErrorCode.CAMERA_NOT_CALIBRATED,
+    ErrorCode.IMAGE_INVALID,
+    ErrorCode.STAMP_INVALID,
+)
+"""Error codes of frames that the camera's node cannot use."""
+
+
 def _camera(rng: np.random.Generator, trial: FaultTarget) -> Made:
-    which = _pick(rng, ("lost", "late", "repeated", "hidden", "wrong"))
+    which = _pick(rng, ("lost", "late", "repeated", "hidden", "wrong", "unusable"))
+    code = UNUSABLE[int(rng.integers(len(UNUSABLE)))]
     lasting = draw_duration(rng, 0.05, 6.0)
     late_by = draw_duration(rng, 0.02, 1.5)
     off = Pose(float(rng.normal(0, 0.02)), float(rng.normal(0, 0.02)), float(rng.normal(0, 0.3)))
@@ -736,6 +798,8 @@ def _camera(rng: np.random.Generator, trial: FaultTarget) -> Made:
             faults.repeated_until = until
         elif which == "hidden":
             t.hide_object(lasting)
+        elif which == "unusable":
+            faults.unusable_until, faults.unusable_code = until, code
         else:
             # Only one frame has a wrong pose. A single outlier gets little weight when frames are
             # fused, but the same error in several frames could not be detected.
@@ -766,6 +830,23 @@ def _by_hand(rng: np.random.Generator, way: float) -> Made:
 def _emergency_stop(rng: np.random.Generator, trial: FaultTarget) -> Made:
     lasting = draw_duration(rng, 0.2, 5.0)
     return lambda t: t.press_emergency_stop(lasting), f"emergency stop held for {lasting:.1f} s"
+
+
+def _stop_without_power(rng: np.random.Generator, trial: FaultTarget) -> Made:
+    """During an emergency stop, the tapper's board loses its power and with it its stop. Then the
+    panel repeats its level."""
+    lost, again = float(rng.uniform(0.2, 1.0)), float(rng.uniform(1.8, 3.0))
+
+    def strike(t: FaultTarget) -> None:
+        t.press_emergency_stop(again + 1.0)
+        t.note_kind("loss of power of the tapper")
+        t.scheduler.after(lost, t.interrupt_tapper_power)
+        t.scheduler.after(again, t.repeat_emergency_stop)
+
+    return strike, (
+        f"emergency stop, repeated after {again:.1f} s; the tapper's board loses its power"
+        f" {lost:.1f} s after the stop"
+    )
 
 
 def _further_panel(rng: np.random.Generator, trial: FaultTarget) -> Made:
@@ -811,6 +892,29 @@ def _stop_and_reset(rng: np.random.Generator, trial: FaultTarget) -> Made:
 
     description = f"service stop of {node}, cleared after {after:.2f} s"
     return strike, description + (f", tap_planner frozen for {frozen:.2f} s" if frozen else "")
+
+
+def _stop_at_the_cell(rng: np.random.Generator, trial: FaultTarget) -> Made:
+    """Somebody presses the stop button that is wired to the tapper's board."""
+
+    def strike(t: FaultTarget) -> None:
+        t.note_kind("stop of tapper_trigger")
+        t.press_stop_button(float(rng.random()))
+
+    return strike, "the stop button at the tapper's board is pressed"
+
+
+def _invalid_goal(rng: np.random.Generator, trial: FaultTarget) -> Made:
+    """Another client publishes a goal with one wrong field, which the planner must refuse."""
+    wrong, pose = draw_wrong_goal(rng), trial.draw_goal(rng)
+
+    def strike(t: FaultTarget) -> None:
+        message = PoseStamped(pose=to_message(pose))
+        message.header.frame_id = "table"
+        wrong.spoil(message, t.clocks["tap_planner"].now().ros)
+        t.network.publish("somebody_else", "goal_pose", message)
+
+    return strike, f"an invalid goal of another client: {wrong.name}"
 
 
 def _interlock(rng: np.random.Generator, trial: FaultTarget) -> Made:
@@ -995,6 +1099,9 @@ MAKERS: dict[str, Maker] = {
     "second node": _second_node,
     "second arm": _second_arm,
     "foreign trajectory": _trajectory,
+    "invalid trajectory": _invalid_trajectory,
+    "invalid goal": _invalid_goal,
+    "stop at the cell": _stop_at_the_cell,
     "unreported trajectory": _unreported_trajectory,
     "clock step": _clock_step,
     "serial line": _line,
@@ -1007,6 +1114,7 @@ MAKERS: dict[str, Maker] = {
     "object moved": _bump,
     "object turned": _turn,
     "emergency stop": _emergency_stop,
+    "stop without power": _stop_without_power,
     "further panel": _further_panel,
     "stop service": _service_stop,
     "stop and reset": _stop_and_reset,
@@ -1054,6 +1162,7 @@ AT_A_SHOT = (
     "emergency stop",
     "further panel",
     "stop service",
+    "stop at the cell",
     "stop and reset",
     "guard",
     "clock step",

@@ -190,6 +190,7 @@ WITHOUT_ARM = (
     "second client",
     "disk full",
     *("exception", "exception in the planner"),
+    *("invalid goal", "stop at the cell"),
 )
 """Kinds of faults that need no arm."""
 FIXED_MAKERS: dict[str, Maker] = {
@@ -223,6 +224,7 @@ FIXED_AT_A_SHOT = (
         "object turned",
         "exception",
         "exception in the planner",
+        "stop at the cell",
     ),
 )
 FIXED_OF_A_SHOT = (

@@ -21,6 +21,7 @@ from tapping_cell.logic.tapper_peers import PeerLimits
 from tapping_cell.messages import TapCommand, TapperState
 from tapping_cell.planning.fixed_solver import GoalSolver
 from tapping_cell.se2 import Pose
+from tapping_cell.simulation.tapper_emulator import TapperEmulator
 from tapping_cell.simulation.truth import TruthFile
 from tapping_cell.verification.fixed_cell import PhysicalFixedCell
 from tapping_cell.verification.fixed_faults import (
@@ -32,7 +33,7 @@ from tapping_cell.verification.fixed_faults import (
     FIXED_SET_UP_MAKERS,
 )
 from tapping_cell.verification.fixed_invariants import FixedInvariantChecker
-from tapping_cell.verification.host import Program
+from tapping_cell.verification.host import Program, copy_of
 from tapping_cell.verification.serial_line import BusyLine, SerialLine
 from tapping_cell.verification.trial import (
     BAD_LINE_S,
@@ -125,6 +126,9 @@ class FixedTrial(Trial):
     def _lines_by_device(self) -> list[tuple[str, SerialLine]]:
         return [("tapper", line) for line in self.physical.lines]
 
+    def _tapper_boards(self) -> list[tuple[TapperEmulator, SerialLine]]:
+        return list(zip(self.physical.boards, self.physical.lines, strict=True))
+
     def _lines(self) -> tuple[SerialLine, ...]:
         return tuple(self.physical.lines)
 
@@ -184,7 +188,8 @@ class FixedTrial(Trial):
 
     def _fit_to_object(self, command: TapCommand, model: TapCommand, seen: Pose) -> None:
         """Keep the poses of the last tap: a fixed mount does not follow the object."""
-        command.strike_pose, command.predicted_pose = model.strike_pose, model.predicted_pose
+        command.strike_pose = copy_of(model.strike_pose)
+        command.predicted_pose = copy_of(model.predicted_pose)
 
     def _publish_conflicting(self, command: TapCommand, conflicting: TapCommand) -> None:
         """Have two programs send commands with the same tap id to two tappers."""

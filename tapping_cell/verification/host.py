@@ -191,6 +191,8 @@ class Process:
         self.on_asked: Callable[[str, str, Any], None] = lambda process, job, answer: None
         """Called with process, job and answer whenever the state machine has answered its running
         job."""
+        self.on_lifecycle: Callable[[str, bool], None] = lambda process, active: None
+        """Called after the state machine has handled its activation (True) or deactivation."""
         self.on_requested: Callable[[str, str, Any], None] = lambda process, service, token: None
         """Called with process, service and token when the process receives a request, before the
         state machine handles it."""
@@ -340,6 +342,7 @@ class Process:
             self.active = isinstance(event, Activated)
             self.inactive_since = math.inf if self.active else self._scheduler.now
             self._handle(self.logic.on_lifecycle, event)
+            self.on_lifecycle(self.name, self.active)
 
         self._when_awake(handle)
 

@@ -25,8 +25,12 @@ from tapping_cell.messages import (
     Time,
 )
 from tapping_cell.se2 import Pose
+from tapping_cell.verification.arm_invariants import ArmChecker
+from tapping_cell.verification.board_invariants import BoardChecker
+from tapping_cell.verification.command_invariants import CommandChecker
 from tapping_cell.verification.confirmation_invariants import ConfirmationChecker
 from tapping_cell.verification.host import HostClock
+from tapping_cell.verification.peer_invariants import PeerChecker
 from tapping_cell.verification.physical_cell import PhysicalCell, Release
 from tapping_cell.verification.scheduler import Scheduler
 from tapping_cell.verification.set_up_invariants import SetUpChecker
@@ -67,6 +71,9 @@ REPORTED_S = 0.5
 """Maximum time from when a device has latched a stop until it reports that it is stopped, s."""
 CHARGED_LIMIT_S = 12.0
 """Maximum time that a striker may stay charged, regardless of any failure of the computers."""
+READY_S = 6.0
+"""Maximum time for which the tapper keeps the striker charged completely, s: 3 s until the arm is
+in position and five requests to stand still."""
 CHECK_S = 0.045
 """Maximum time from the last check before FIRE to the release, s. The board's deadline for the shot
 limits this time."""
@@ -114,6 +121,9 @@ STOP_MOTION_S = 1.5
 to the controller and the braking."""
 
 
+WITHDRAWN_S = 0.15
+"""Maximum time from when the planner's process has received a change of the scene that forbids its
+tap until it withdraws the tap, s. The planner's timer has a period of 0.1 s."""
 LATE_END_S = 2.0
 """Maximum time from the time limit of a goal until the planner ends the goal, s. If the planner has
 resumed the goal, or its process was frozen, after the time limit, the time begins then."""
@@ -135,6 +145,8 @@ GAVE_UP = "no longer waits"
 """Part of the tapper's error message for a tap whose planner no longer waits for it."""
 ACTIVATED_S = 0.5
 """Maximum time for which the arm still reports that its node is not active, s."""
+TAPPING = (PlanState.PLACING, PlanState.FIRING)
+"""States in which the planner waits for a commanded tap."""
 NOT_CLEAR = (ArmState.HOMING, ArmState.MOVING, ArmState.IN_POSITION, ArmState.WITHDRAWING)
 """States in which the arm must not be reported clear of the camera."""
 
@@ -235,6 +247,10 @@ class InvariantChecker:
     """Return the time of the exposure of the image with this stamp (ns)."""
     goal_time_limit: float = math.inf
     """Time limit of the goals, s."""
+    time_limits: dict[int, float] = field(default_factory=dict)
+    """Time limit of each goal with a limit of its own, by the index of its request, s."""
+    tolerances: dict[int, tuple[float, float]] = field(default_factory=dict)
+    """Requested tolerance of goals by the index of their request, m and rad."""
     tap_limit: int = 0
     """Limit of the number of taps that the goals request; 0: the limit of the cell's file."""
     planner_frozen_until: Callable[[], float] = lambda: -math.inf
@@ -256,6 +272,14 @@ class InvariantChecker:
     over_for_arm: int = 0
     """Id of the last tap of which the arm's process has received that it is over, while the arm
     served this tap; 0 if there is none."""
+    command_checker: CommandChecker = field(init=False)
+    """Checker of the commands that arm and tapper execute."""
+    board_checker: BoardChecker | None = None
+    """Checker of the stops of the tapper's boards."""
+    peer_checker: PeerChecker | None = None
+    """Checker of the ages of the messages that the tapper has received."""
+    arm_checker: ArmChecker | None = None
+    """Checker of the arm's node."""
     set_up: SetUpChecker | None = None
     """Checker of a cell in set-up mode."""
     confirmation: ConfirmationChecker | None = None
@@ -265,6 +289,8 @@ class InvariantChecker:
     _asked_to_move: bool = True
     _released: int = 0
     _charged_since: float | None = None
+    _ready_since: float = math.inf
+    """Time since which the tapper's board has been charged completely; inf while it is not."""
     _moving_since: float | None = None
     _plan_state_since: float = 0.0
     arm_frozen_until: float = -math.inf
@@ -322,10 +348,18 @@ class InvariantChecker:
     _tap_to_withdraw: int = 0
     """Id of the tap that the planner's process has commanded but not withdrawn; 0 if there is
     none."""
+    _own_tap: TapCommand | None = None
+    """Command of this tap."""
+    _overdue: set[int] = field(default_factory=set)
+    """Taps that the planner should have withdrawn."""
     _stops: set[int] = field(default_factory=set)
     """Stamps (ns) of the states that arm and tapper have published since they were stopped during
     the present goal. Each of these states must tell the planner of the stop, because the planner
     may miss the other ones."""
+    _last_states: dict[str, ArmState | TapperState] = field(default_factory=dict)
+    """Last state that the present process of arm or tapper has published."""
+    _told_before: dict[str, int] = field(default_factory=dict)
+    """For each device that was stopped, the time of the last stop (ns) that it reported before."""
     _told_of_stop: bool = False
     """Whether the planner's process has received since its start, without a goal, that the cell,
     the arm or the tapper was stopped during the goal of the planner that crashed."""
@@ -346,6 +380,15 @@ class InvariantChecker:
     _waiting: tuple[int, float, float, float] = (PlanState.IDLE, 0.0, 0.0, 0.0)
     """State in the planner's last message, and the goal (x, y, z) of that message."""
 
+    def __post_init__(self) -> None:
+        self.command_checker = CommandChecker(
+            self.scheduler,
+            self.tapper_clock,
+            self.violate,
+            lambda tap_id: self.taken_by_tapper.get(tap_id, ()),
+            self.ended_taps,
+        )
+
     def violate(self, name: str, sentence: str) -> None:
         """Record a violation of an invariant."""
         self.violations.append(Violation(name, self.scheduler.now, sentence))
@@ -355,7 +398,10 @@ class InvariantChecker:
         if isinstance(message, TapCommand):
             if node == "tap_planner":
                 self._note_tap(message)
-            if message.request == TapCommand.TAP:
+            if (
+                message.request == TapCommand.TAP
+                and message.tap_id not in self.command_checker.invalid
+            ):
                 self._commanded_at.setdefault(message.tap_id, self.scheduler.now)
                 self.commands[message.tap_id] = message
                 if node == "tap_planner (second)":
@@ -379,6 +425,9 @@ class InvariantChecker:
             if message.state == ArmState.MOVING and message.tap_id:
                 self._placed_tap = message.tap_id
             self._arm = message.state, message.tap_id
+            self.command_checker.on_arm_state(message)
+            if self.arm_checker is not None:
+                self.arm_checker.on_arm_state(message)
             self._check_reference(message)
             self._check_view(message)
             self._check_inactive(message.error_code)
@@ -391,7 +440,7 @@ class InvariantChecker:
             if message.state == ArmState.IDLE or message.error_code == ErrorCode.NOT_ACTIVE:
                 self._asked_to_move = False
         elif isinstance(message, StopState):
-            self._latched[node] = self.scheduler.now if message.stopped else math.inf
+            self._note_stop_state(node, message.stopped)
         elif isinstance(message, PlanState) and node == "tap_planner":
             self._on_plan_state(message)
             if self.confirmation is not None:
@@ -431,6 +480,11 @@ class InvariantChecker:
 
     def _check_release(self, release: Release, earlier: list[Release]) -> None:
         shot = release.shot
+        self.command_checker.on_release(shot)
+        if self.peer_checker is not None:
+            self.peer_checker.on_release(shot)
+        if self.arm_checker is not None:
+            self.arm_checker.on_release(shot)
         if any(before.shot == shot for before in earlier):
             self.violate("fired twice", f"shot {shot} was released twice")
         if release.moving:
@@ -519,6 +573,9 @@ class InvariantChecker:
     def on_stamp_received(self, topic: str, stamp: Time) -> None:
         """Process the stamp of a message that the tapper's process received."""
         ahead = to_seconds(stamp) - 1e-9 * self.tapper_clock.now().ros
+        if self.peer_checker is not None and topic != "object_state":
+            # The camera's clock is also known from other topics.
+            self.peer_checker.on_stamp_received(topic, stamp)
         if ahead > SKEW_LIMIT_S + ROUNDING_S:
             self.future_received[topic] = self.scheduler.now, self.tapper_clock.offset
 
@@ -540,14 +597,18 @@ class InvariantChecker:
         that expires last."""
 
         def difference(command: TapCommand) -> tuple[float, int]:
-            pose = from_message(command.strike_pose)
-            turn = abs(pose.rotation_to(release.tip))
             excess = abs(release.energy / self.physical.energy_for(command.striker_speed) - 1.0)
-            place = pose.distance_to(release.tip) / STRIKE_POSITION_M + turn / STRIKE_ANGLE_RAD
+            place = self._difference_of_place(command, release)
             return round(place + excess / ENERGY_SHARE, 6), -to_nanoseconds(command.expiry)
 
         variants = self.taken_by_tapper.get(release.shot)
         return min(variants, key=difference) if variants else None
+
+    def _difference_of_place(self, command: TapCommand, release: Release) -> float:
+        """Return how far the strike of a command is from a release, as a multiple of the limits."""
+        pose = from_message(command.strike_pose)
+        turn = abs(pose.rotation_to(release.tip))
+        return pose.distance_to(release.tip) / STRIKE_POSITION_M + turn / STRIKE_ANGLE_RAD
 
     def _check_energy(self, release: Release, command: TapCommand) -> None:
         asked = self.physical.energy_for(command.striker_speed)
@@ -678,7 +739,19 @@ class InvariantChecker:
     # States
 
     def _check_charge(self) -> None:
-        self._check_charged(self.physical.tapper_board.state in ("CHARGING", "CHARGED"))
+        state = self.physical.tapper_board.state
+        self._check_charged(state in ("CHARGING", "CHARGED"))
+        if state != "CHARGED":
+            self._ready_since = math.inf
+            return
+        now = self.scheduler.now
+        self._ready_since = min(self._ready_since, now)
+        if now > self._ready_since + READY_S:
+            self.violate(
+                "kept charged",
+                f"the striker has been ready to be fired for more than {READY_S:g} s",
+            )
+            self._ready_since = now
 
     def _check_charged(self, charged: bool) -> None:
         if not charged:
@@ -698,6 +771,8 @@ class InvariantChecker:
         if not self.physical.moving(now):
             self._moving_since = None
             return
+        if self.arm_checker is not None:
+            self.arm_checker.on_motion()
         if self._moving_since is None:
             self._moving_since = now
             if not self._asked_to_move:
@@ -761,6 +836,8 @@ class InvariantChecker:
         """Check a move before it begins. ``speed`` is a fraction of the maximum joint speeds."""
         if self.set_up is not None:
             self.set_up.check_speed(speed)
+        if self.arm_checker is not None:
+            self.arm_checker.on_start(target)
         tap_id, withdrawn_at = self._withdrawn_for_arm
         command, late = self.commands.get(tap_id), self.scheduler.now - withdrawn_at
         if command is None or self._arm[1] != tap_id or late < CONTINUED_S:
@@ -778,6 +855,8 @@ class InvariantChecker:
     def check_move(self, target: Joints) -> None:
         """Check that the arm truly stands at the target of a move that its driver reports as
         completed. Do not check this if the arm's board has lost its position."""
+        if self.arm_checker is not None:
+            self.arm_checker.on_end()
         if math.isfinite(self.unhomed_since):
             return
         found = self.physical.joints(self.scheduler.now)
@@ -899,6 +978,46 @@ class InvariantChecker:
         if state.visible:
             self.seen_moving = not state.at_rest
             self._seen = from_message(state.pose.pose)
+            if state.error_code == ErrorCode.NONE:
+                self._expect_withdrawal_if_moved(self._seen)
+
+    def _observes_by_object_state(self) -> bool:
+        """Return whether the planner observes the object of its present goal on the topic
+        ``object_state``."""
+        return True
+
+    def _expect_withdrawal_if_moved(self, seen: Pose) -> None:
+        """Check that the planner soon withdraws its tap, if its process has received that the
+        tapped object is elsewhere."""
+        if self._own_tap is None or not self._observes_by_object_state():
+            return
+        planned = from_message(self._own_tap.object_pose)
+        off, turned = planned.distance_to(seen), abs(planned.rotation_to(seen))
+        if off > BUMP_M or turned > BUMP_RAD:
+            self.expect_withdrawal(
+                f"the object is {1e3 * off:.1f} mm and {math.degrees(turned):.1f} deg away from the"
+                " pose for which the tap was planned"
+            )
+
+    def expect_withdrawal(self, change: str) -> None:
+        """Check that the planner soon withdraws its tap, because of a change of the scene that its
+        process has received."""
+        command, received = self._own_tap, self.scheduler.now
+        if command is None or self._waiting[0] not in TAPPING or command.tap_id in self._overdue:
+            return
+
+        def check() -> None:
+            frozen = self.planner_frozen_until() > received
+            if self._own_tap is not command or self._waiting[0] not in TAPPING or frozen:
+                return
+            self._overdue.add(command.tap_id)
+            self.violate(
+                "tap not withdrawn",
+                f"the planner has not withdrawn tap {command.tap_id}, although it received"
+                f" {WITHDRAWN_S:g} s ago that {change}",
+            )
+
+        self.scheduler.after(WITHDRAWN_S, check)
 
     def _check_reference(self, message: ArmState) -> None:
         """Check that the arm's node does not report the arm as homed when the arm has no valid
@@ -956,6 +1075,8 @@ class InvariantChecker:
                 if request.key in self.keys_of_tapper:
                     self.promises[promise] = min(end, before)
                 return
+            if self.arm_checker is not None:
+                self.arm_checker.on_promise(request)
             if self._arm != (ArmState.IN_POSITION, request.tap_id):
                 self.violate(
                     "empty promise",
@@ -985,6 +1106,8 @@ class InvariantChecker:
         """Process the answer that a state machine gives to its running job."""
         if process == "tapper_trigger" and job == "fire":
             self.last_check = self.scheduler.now, answer
+        if process == "tapper_trigger" and job == "charge" and answer is None:
+            self.command_checker.on_charge_allowed()
         if process == "tapper_trigger" and self.set_up is not None:
             self.set_up.on_asked(job, answer)
 
@@ -998,7 +1121,9 @@ class InvariantChecker:
         """Process the end of the planner's process. After a crash, the planner may resume its
         goal."""
         self.planner_gone_since = self.scheduler.now
-        self._tap_to_withdraw = 0
+        if not crash:
+            self.on_planner_deactivated()  # an orderly end begins with a deactivation
+        self._tap_to_withdraw, self._own_tap = 0, None
         self._told_of_stop = False
         self._delays.clear()
         if self.confirmation is not None:
@@ -1008,6 +1133,19 @@ class InvariantChecker:
             self._crashed = None
         elif goal is not None:  # otherwise the crash of an earlier process may still be pending
             self._crashed, self._is_crashed_cancelled = (goal, self.scheduler.now), False
+
+    @property
+    def planner_has_crashed(self) -> bool:
+        """Whether a planner has crashed during a goal that another planner may still resume."""
+        return self._crashed is not None
+
+    def on_planner_deactivated(self) -> None:
+        """Process that the planner's process has handled the deactivation of its node."""
+        if self._goal is not None:
+            self.violate(
+                "goal outlives its deactivation",
+                "the planner's node was deactivated, but the present goal has not ended",
+            )
 
     def on_goal_cancelled(self) -> None:
         """Process that the planner has answered a person's request to end the present goal."""
@@ -1025,9 +1163,24 @@ class InvariantChecker:
     def _note_tap(self, message: TapCommand) -> None:
         """Process a command of the planner's process."""
         if message.request == TapCommand.TAP:
-            self._tap_to_withdraw = message.tap_id
+            self._tap_to_withdraw, self._own_tap = message.tap_id, message
         elif message.request == TapCommand.WITHDRAW and message.tap_id == self._tap_to_withdraw:
-            self._tap_to_withdraw = 0
+            self._tap_to_withdraw, self._own_tap = 0, None
+
+    def _note_stop_state(self, node: str, stopped: bool) -> None:
+        """Process that a node has published whether it keeps a stop."""
+        self._told_before.pop(node, None)
+        last = self._last_states.get(node)
+        if stopped and math.isinf(self._latched.get(node, math.inf)) and last is not None:
+            was_stopped = last.state in (ArmState.STOPPED, TapperState.STOPPED)
+            if not was_stopped:
+                self._told_before[node] = to_nanoseconds(last.last_stop)
+        self._latched[node] = self.scheduler.now if stopped else math.inf
+
+    def on_device_lost(self, node: str) -> None:
+        """Process the end of the process of arm or tapper."""
+        self._last_states.pop(node, None)
+        self._told_before.pop(node, None)
 
     def _note_stop(self, node: str, message: ArmState | TapperState, stopped: bool) -> None:
         """Process a state of arm or tapper with respect to stops."""
@@ -1040,6 +1193,15 @@ class InvariantChecker:
                 f" {latched_for:.1f} s",
             )
             self._latched[node] = math.inf
+        self._last_states[node] = message
+        before = self._told_before.get(node)
+        if latched_for > REPORTED_S and stopped and before == to_nanoseconds(message.last_stop):
+            self.violate(
+                "stop not told",
+                f"{node} has kept a stop for {latched_for:.1f} s, but its state does not tell when"
+                " it was stopped",
+            )
+            del self._told_before[node]
         if stopped:
             self._stopped.add(node)
         if node in self._stopped:
@@ -1053,10 +1215,18 @@ class InvariantChecker:
             self.confirmation.on_tapper_state(message)
         # Not every state after a stop tells of it: a device that was started again does not report
         # its stop at first.
-        stopped = ArmState.STOPPED if isinstance(message, ArmState) else TapperState.STOPPED
+        is_arm = isinstance(message, ArmState)
+        stopped = ArmState.STOPPED if is_arm else TapperState.STOPPED
+        fault = ArmState.FAULT if is_arm else TapperState.FAULT
         last = to_nanoseconds(message.last_stop)
         before = to_nanoseconds(previous.last_stop)
         tells = message.state == stopped or last not in (0, before)
+        if message.state == fault and self._goal is not None:
+            self.violate(
+                "goal outlives a fault",
+                "the planner has received that the arm or the tapper has a fault during the present"
+                " goal, but has not ended this goal",
+            )
         if tells and to_nanoseconds(message.header.stamp) in self._stops:
             self.on_stop_received_by_planner()
 
@@ -1190,6 +1360,10 @@ class InvariantChecker:
 
     def _on_tapper_state(self, message: TapperState) -> None:
         self._report = message
+        self.command_checker.on_tapper_state(message)
+        if self.board_checker is not None:
+            latched = self._latched.get("tapper_trigger", math.inf)
+            self.board_checker.on_tapper_state(message, latched)
         self._note_stop("tapper_trigger", message, message.state == TapperState.STOPPED)
         # A node that was frozen handles the command and the state at the same time.
         waited_for = self._tapping_received >= self._first_taken.get(message.tap_id, -math.inf)
@@ -1248,9 +1422,24 @@ class InvariantChecker:
         elif self._goal is None or before[1:] != after[1:]:
             self._begin_goal(message)
         self._check_time_limit()
+        self._check_tolerance(message)
         if message.state == PlanState.REACHED and before[0] != PlanState.REACHED:
             tolerance = message.position_tolerance, message.angle_tolerance
             self._check_claim("the planner reports", from_message(message.goal.pose), tolerance)
+
+    def _check_tolerance(self, message: PlanState) -> None:
+        """Check that the planner pursues its goal with the requested tolerance."""
+        if self._goal is None or self._goal not in self.tolerances:
+            return
+        position, angle = self.tolerances[self._goal]
+        off = abs(message.position_tolerance - position)
+        if off > ROUNDING_S or abs(message.angle_tolerance - angle) > ROUNDING_S:
+            self.violate(
+                "other tolerance",
+                f"the planner reports a tolerance of {1e3 * message.position_tolerance:.3f} mm and"
+                f" {math.degrees(message.angle_tolerance):.3f} deg, but {1e3 * position:.3f} mm and"
+                f" {math.degrees(angle):.3f} deg were requested",
+            )
 
     def _check_cause(self, code: int) -> None:
         """Check that the goal did not fail because a device was busy if this device had told the
@@ -1273,12 +1462,13 @@ class InvariantChecker:
         if self._goal is None:
             return
         now, began = self.scheduler.now, self._began_at[self._goal]
-        end = max(began + self.goal_time_limit, self._goal_begun_at, self.planner_frozen_until())
+        limit = self.time_limits.get(self._goal, self.goal_time_limit)
+        end = max(began + limit, self._goal_begun_at, self.planner_frozen_until())
         if now > end + LATE_END_S:
             self.violate(
                 "exceeds its time limit",
                 f"the planner has worked on a goal for {now - began:.1f} s, but the goal's time"
-                f" limit is {self.goal_time_limit:.1f} s",
+                f" limit is {limit:.1f} s",
             )
             self._began_at[self._goal] = now
 

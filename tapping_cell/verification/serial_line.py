@@ -21,6 +21,8 @@ class SerialLine(LineEnd):
         """Fiber in which the driver runs."""
         self.before_write: Callable[[], None] = lambda: None
         """Called before bytes are sent; it may freeze the process."""
+        self.received_at = -math.inf
+        """Time at which the host last received bytes, s from the start of the run."""
         self._scheduler = scheduler
         self._offset = 0.0
         self._reading = False
@@ -89,6 +91,8 @@ class SerialLine(LineEnd):
         while True:
             self._require()
             data = self.layer.take_output(self._scheduler.now)
+            if data:
+                self.received_at = self._scheduler.now
             if data or self._scheduler.now >= deadline:
                 self.schedule()
                 return data

@@ -98,6 +98,7 @@ def _removed(rng: np.random.Generator, trial: FaultTarget) -> Made:
             return
         checker.note_hand(name, now, before)
         checker.others[name].removed_until = now + lasting
+        t.note_disturbance(lasting)
         table.take_away(name)
         t.scheduler.after(lasting, partial(put_back, t, before))
 
@@ -140,6 +141,7 @@ def _unknown_laid(rng: np.random.Generator, trial: FaultTarget) -> Made:
         )
         if not table.unknown and table.is_free_of_objects(outline, 0.5 * UNKNOWN_GAP_M[0]):
             table.unknown = (outline,)
+            t.note_disturbance(lasting)
             t.scheduler.after(lasting, partial(take_away, table, outline))
 
     def take_away(table: PhysicalTable, outline: Outline) -> None:

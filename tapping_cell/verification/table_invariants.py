@@ -27,13 +27,10 @@ from tapping_cell.messages import (
 )
 from tapping_cell.se2 import Pose
 from tapping_cell.simulation.tabletop import TrueContact
-from tapping_cell.verification.invariants import BUMP_M, ENDED, InvariantChecker
+from tapping_cell.verification.invariants import BUMP_M, ENDED, TAPPING, InvariantChecker
 from tapping_cell.verification.physical_cell import Release
 from tapping_cell.verification.table_cell import Outline, PhysicalTable, TableRelease, depth
 
-WITHDRAWN_S = 0.15
-"""Maximum time from when the planner's process receives that another object was moved until it has
-withdrawn its tap, s. The planner's timer has a period of 0.1 s."""
 MEMORY_S = 5.0
 """Time after which the planner assumes that an object that it no longer sees was removed, s."""
 MEMORY_SLACK_S = 1.0
@@ -51,7 +48,6 @@ CLEAR_M = 0.02
 not move the other object."""
 AXIS_POINTS = 12
 """Number of points on the axis of the tool at which an overlap is checked."""
-TAPPING = (PlanState.PLACING, PlanState.FIRING)
 
 
 @dataclass(slots=True)
@@ -122,7 +118,6 @@ class TableInvariantChecker(InvariantChecker):
     """Objects without an object file that the planner's process received last."""
     _searched: float = -math.inf
     """Exposure of the image in which they were searched for."""
-    _withdrawn: set[int] = field(default_factory=set)
     _measured: dict[str, int] = field(default_factory=dict)
     """Stamp (ns) of the last measurement of each other object that the tapper received."""
     _arrangements_begun: set[int] = field(default_factory=set)
@@ -208,7 +203,7 @@ class TableInvariantChecker(InvariantChecker):
         known = self._planned_with.get(self._tap)
         found = known is not None and any(outline not in known for outline in self._unknown)
         if found and self._waiting[0] in TAPPING:
-            self._expect_withdrawal("an unknown object was found")
+            self.expect_withdrawal("an unknown object was found")
 
     def _may_be_covered(self, pose: Pose) -> bool:
         """Return whether the arm may hide an object at a pose from the camera."""
@@ -229,6 +224,9 @@ class TableInvariantChecker(InvariantChecker):
             return "object_states", "object_states"
         return "object_state", "other_objects"
 
+    def _observes_by_object_state(self) -> bool:
+        return self._goal is None or self._goal not in self.asked
+
     def _known(self, name: str, tapped: str) -> Told:
         first, second = self._sources()
         topic = first if name == tapped else second
@@ -247,27 +245,7 @@ class TableInvariantChecker(InvariantChecker):
         change = "appeared"
         if before is not None:
             change = f"was moved by {1e3 * before.distance_to(pose):.1f} mm"
-        self._expect_withdrawal(f"'{name}' {change}")
-
-    def _expect_withdrawal(self, change: str) -> None:
-        """Check that the planner soon withdraws its tap, because of a change of the scene that its
-        process has received."""
-        tap, goal, now = self._tap, self._goal, self.scheduler.now
-        if tap in self._withdrawn:
-            return
-
-        def check() -> None:
-            frozen = self.planner_frozen_until() > now or not math.isinf(self.planner_gone_since)
-            done = tap in self._withdrawn or self._tap != tap or self._goal != goal
-            if not frozen and not done and self._waiting[0] in TAPPING:
-                self.violate(
-                    "tap not withdrawn",
-                    f"the planner has not withdrawn tap {tap}, although it received {WITHDRAWN_S:g}"
-                    f" s ago that {change} after the tap was planned",
-                )
-                self._withdrawn.add(tap)
-
-        self.scheduler.after(WITHDRAWN_S, check)
+        self.expect_withdrawal(f"'{name}' {change}")
 
     # Commands
 
@@ -284,11 +262,10 @@ class TableInvariantChecker(InvariantChecker):
 
     def on_publish(self, node: str, topic: str, message: object) -> None:
         """Process a message that a node publishes."""
-        if isinstance(message, TapCommand) and node == "tap_planner":
-            if message.request == TapCommand.WITHDRAW:
-                self._withdrawn.add(message.tap_id)
-            elif message.request == TapCommand.TAP:
-                self._tap = message.tap_id
+        is_tap = isinstance(message, TapCommand) and message.request == TapCommand.TAP
+        if is_tap and node == "tap_planner":
+            assert isinstance(message, TapCommand)
+            self._tap = message.tap_id
         super(TableInvariantChecker, self).on_publish(node, topic, message)
 
     def _check_basis(self, tap_id: int) -> None:

@@ -52,7 +52,10 @@ from tapping_cell.messages import (
 )
 from tapping_cell.se2 import Pose
 from tapping_cell.simulation.fault_layer import Direction
+from tapping_cell.simulation.tapper_emulator import TapperEmulator
 from tapping_cell.simulation.truth import TruthFile
+from tapping_cell.verification.arm_invariants import ArmChecker
+from tapping_cell.verification.board_invariants import BoardChecker
 from tapping_cell.verification.camera import Camera
 from tapping_cell.verification.causes import (
     COVERED,
@@ -89,8 +92,10 @@ from tapping_cell.verification.faults import (
 )
 from tapping_cell.verification.further_panels import FurtherPanels, PanelPress
 from tapping_cell.verification.host import HostClock, Process, Program, copy_of
-from tapping_cell.verification.invariants import InvariantChecker, Violation
+from tapping_cell.verification.invalid_commands import draw_wrong_field
+from tapping_cell.verification.invariants import TAPPING, InvariantChecker, Violation
 from tapping_cell.verification.network import Network, Quality
+from tapping_cell.verification.peer_invariants import PeerChecker
 from tapping_cell.verification.people import KEY, SWITCH, ConfirmingPerson, EnablingPerson
 from tapping_cell.verification.physical_cell import PhysicalCell
 from tapping_cell.verification.planted_exception import PlantedException
@@ -155,8 +160,6 @@ SERVES = {
 # product is detected.
 CHARGED = (TapperState.CHARGING, TapperState.CHARGED, TapperState.FIRING)
 """States in which the striker is or may be charged."""
-TAPPING = (PlanState.PLACING, PlanState.FIRING)
-"""States in which the planner waits for a commanded tap."""
 BLIND = (
     ErrorCode.CAMERA_SILENT,
     ErrorCode.CAMERA_NOT_CALIBRATED,
@@ -215,11 +218,34 @@ SHARE_OF_SHORT_EXPIRIES, SHORT_EXPIRY_S = 0.1, (0.2, 4.0)
 SHARE_OF_FUTURE_STAMPS, FUTURE_STAMP_S = 0.05, (1.5, 3600.0)
 """Fraction of the taps of other programs with a stamp in the future, and the range by which this
 stamp is ahead of the clock, s."""
+# The defaults are written here, so that a wrong one is detected.
+DEADLINES_S = {
+    PlanState.WAITING_FOR_CELL: 30.0,
+    PlanState.LOOKING: 10.0,
+    PlanState.PLACING: 20.0,
+    PlanState.FIRING: 8.0,
+    PlanState.SETTLING: 20.0,
+}
+"""Time limits of the planner's waiting states, s."""
+SHARE_OF_TOLERANCES, WIDER = 0.3, (1.0, 3.0)
+"""Fraction of the goals with a tolerance of their own, and its range as a multiple of the cell's
+tolerance."""
+SHARE_OF_REPEATED_GOALS = 0.3
+"""Fraction of the failed goals that are requested again, in runs that ask a person."""
+SHARE_OF_DAMAGED_STOPS = 0.2
+"""Fraction of the stored stops that are damaged when their node is killed."""
+SHARE_OF_INVALID_TAPS = 0.15
+"""Fraction of the taps of other programs with a wrong field."""
+SHARE_OF_FORGOTTEN_TAPS = 0.1
+"""Fraction of the taps of other programs that are not withdrawn at the end."""
 CLOCK_KNOWN_S, CLOCK_ERROR_S = 10.0, 0.05
 """Time after its start in which the arm's node measures the tapper's clock, and maximum error of
 this measurement, s. The error is the minimum delay of the messages in this time."""
 GOAL_SLACK_S = 5.0
 """Maximum time from a goal's time limit to the goal's end, if the planner's process is running."""
+STOP_AGAIN_S, BOOT_S = 1.05, 0.5
+"""Time after which the tapper's node sends a repeated stop to its board again, and time after a
+loss of power during which the board may not receive it, s."""
 STOP_DELIVERY_S = 0.1
 """Maximum time from the delivery of a stop to the tapper's process until its board has stopped."""
 BAD_LINE_S = 15.0
@@ -378,14 +404,17 @@ class Trial:
         self.checker.unseen_limit = NOTICED_S + (COVERED_S if self.arm_covers else CLEAR_VIEW_S)
         self.checker.unseen_by_tapper = COVERED_S if self.arm_covers else CLEAR_VIEW_S
         self.checker.deadlines = {
-            PlanState.WAITING_FOR_CELL: self.settings.ready_deadline,
-            PlanState.LOOKING: self.settings.observe_deadline,
-            PlanState.CONFIRMING: self.settings.confirm_deadline,
-            PlanState.PLACING: self.settings.place_deadline,
-            PlanState.FIRING: self.settings.fire_deadline,
-            PlanState.SETTLING: self.settings.withdraw_deadline,
+            **DEADLINES_S,
+            PlanState.CONFIRMING: CONFIRM_S,
         }
         self._people_rng = np.random.default_rng([seed, 11])
+        self._goal_rng = np.random.default_rng([seed, 27])
+        self._goal_limit = self.settings.goal_time_limit
+        """Time limit of the last goal, s."""
+        self._last_goal: Pose | None = None
+        self._program_rng = np.random.default_rng([seed, 26])
+        self._spoilt_id = 0
+        """Last id of a command of another program with a wrong field."""
         self.confirmation = StopConfirmation(self.checker.violate)
         self.panels = FurtherPanels(
             self.scheduler,
@@ -417,6 +446,27 @@ class Trial:
         if "scara_arm" in self.processes:
             arm = self.processes["scara_arm"]
             self.checker.arm_runs_since = lambda: arm.runs_since
+            self.checker.arm_checker = ArmChecker(
+                self.scheduler,
+                self.physical,
+                self.checker.violate,
+                self.clocks["scara_arm"],
+                lambda: math.isinf(self.checker.unhomed_since),
+            )
+        self.checker.peer_checker = PeerChecker(
+            self.scheduler,
+            self.checker.violate,
+            self.clocks["tapper_trigger"],
+            self.clocks["camera_pose"],
+        )
+        tapper = self.processes["tapper_trigger"]
+        self.checker.board_checker = BoardChecker(
+            self.scheduler,
+            self.checker.violate,
+            self._tapper_boards(),
+            lambda: tapper.runs_since,
+            lambda: self.tapper_power_lost_at,
+        )
         self.checker.inactive_since = lambda name: self.processes[name].inactive_since
         self.checker.planner_frozen_until = lambda: self.processes["tap_planner"].frozen_until
         planner = self.processes["tap_planner"]
@@ -430,6 +480,7 @@ class Trial:
             process.on_handled = self._after_handling
             process.on_asked = self._on_asked
             process.on_requested = self._on_requested
+            process.on_lifecycle = self._on_lifecycle
             process.on_log = self._on_log
             process.on_planted = self._on_planted
             process.on_caught = self._on_caught
@@ -455,6 +506,8 @@ class Trial:
         self._result: PositionObject.Result | None = None
         self._pressed_until = -math.inf
         self._pressed_at = -math.inf
+        self._told_at = -math.inf
+        """Time at which the tapper's process last received an emergency stop."""
         self._asked_to_clear: dict[str, float] = {}
         """Nodes that were asked to clear since their last stop, and the times of the requests. Such
         a request may be handled late and is valid if the emergency stop has been released by
@@ -592,7 +645,15 @@ class Trial:
         asks = self.asks == OF_GOAL
         if asks and self.checker.confirmation is not None:
             self.checker.confirmation.asking_goals.add(index)
+        position, angle = self.cell.tolerance
         goal = PositionObject.Goal(goal_pose=message, ask=asks, max_taps=self.tap_limit)
+        if self._goal_rng.random() < SHARE_OF_TOLERANCES:
+            goal.position_tolerance = position = position * self._goal_rng.uniform(*WIDER)
+            goal.angle_tolerance = angle = angle * self._goal_rng.uniform(*WIDER)
+        self.checker.tolerances[index] = position, angle
+        if self._goal_rng.random() < SHARE_OF_SHORT_LIMITS:
+            limit = draw_duration(self._goal_rng, *SHORT_LIMIT_S)
+            goal.time_limit = self._goal_limit = self.checker.time_limits[index] = limit
         return "position_object", goal
 
     def _put_back(self) -> None:
@@ -638,7 +699,12 @@ class Trial:
         def arm() -> tuple[ArmLogic, CheckedArm]:
             arm_line.set_clock(self.clocks["scara_arm"].steady_offset)
             draw = np.random.default_rng([self.seed, 5, round(1e6 * self.scheduler.now)])
-            options = ArmOptions(set_up=self.set_up, draw_key=lambda: int(draw.integers(1, 2**63)))
+            options = ArmOptions(
+                set_up=self.set_up,
+                # In set-up mode, the arm must not home by itself.
+                home_on_activate=self.set_up,
+                draw_key=lambda: int(draw.integers(1, 2**63)),
+            )
             driver = make_arm_driver(cell.arm, arm_line)
             return ArmLogic(options), CheckedArm(
                 driver, self.checker.check_move, self.checker.check_start
@@ -729,6 +795,11 @@ class Trial:
         """Choose the next goal at random. In 80 % of the cases, the goal is near the object, as in
         the paper's task."""
         rng = self.rng
+        if self.asks and self._last_goal is not None and self._result is not None:
+            # A person repeats a goal that has failed; its taps must be confirmed again.
+            failed = self._result.error_code > 0 and not self.checker.planner_has_crashed
+            if failed and self._goal_rng.random() < SHARE_OF_REPEATED_GOALS:
+                return self._last_goal
         true = self.physical.object_pose(self.scheduler.now)
         goal = self.draw_goal(rng)
         if rng.random() < 0.8:
@@ -747,6 +818,7 @@ class Trial:
         faults = draw_faults(self._fault_rng, self, self._mix) if self._faulty else []
         self.report.faults.update(fault.kind for fault in faults)
         goal = self.next_goal(number)
+        self._last_goal, self._goal_limit = goal, self.settings.goal_time_limit
         planner = self.processes["tap_planner"]
         starts = planner.starts
         began = self.scheduler.now
@@ -762,7 +834,7 @@ class Trial:
         for fault in faults:
             if fault.moment is None:
                 self.scheduler.at(began + fault.time, partial(self._strike, fault), in_main=True)
-        limit = began + self.settings.goal_time_limit + GOAL_SLACK_S
+        limit = began + self._goal_limit + GOAL_SLACK_S
         self.scheduler.run(limit, lambda: self._result is not None)
         if self._result is None:
             if planner.starts == starts:
@@ -772,7 +844,7 @@ class Trial:
                     f"planner is in state {planner.logic.state.value}",
                 )
             self._result = PositionObject.Result(error_code=-1, error_msg="its planner was lost")
-        in_time = self.scheduler.now < began + self.settings.goal_time_limit
+        in_time = self.scheduler.now < began + self._goal_limit
         struck = self._causes(self._result.error_code)
         self._waiting_faults = []
         last = max((fault.time for fault in faults if fault.moment is None), default=0.0)
@@ -786,7 +858,7 @@ class Trial:
         if self._observe(self.scheduler.now) is None:
             struck.add(COVERED)
         self._add_conditions_of_set_up(struck)
-        if self.short_time_limit and not in_time:
+        if self._goal_limit < GOAL_TIME_LIMIT_S and not in_time:
             struck.add(SHORT_TIME_LIMIT)
         if self.tap_limit and result.error_code == ErrorCode.TAP_LIMIT_REACHED:
             struck.add(FEW_TAPS)
@@ -830,7 +902,10 @@ class Trial:
         self._note(f"a program's tap {command.tap_id}")
         self._waiting_faults, self._result = list(faults), None
         self._moments.clear()
-        if self._faulty and self.rng.random() < SHARE_OF_CONFLICTS:
+        if self._faulty and self._program_rng.random() < SHARE_OF_INVALID_TAPS:
+            self._spoil(command)
+        valid = command.tap_id not in self.checker.command_checker.invalid
+        if valid and self._faulty and self.rng.random() < SHARE_OF_CONFLICTS:
             # A second program uses the same id for another tap.
             conflicting = copy_of(command)
             self._note("a second program's tap with the same id")
@@ -847,9 +922,10 @@ class Trial:
 
         self.scheduler.run(self.scheduler.now + PROGRAM_TIMEOUT_S, over)
         self.scheduler.run(self.scheduler.now + 0.5 * float(self.rng.random()))
-        withdrawal = TapCommand(request=TapCommand.WITHDRAW, tap_id=command.tap_id)
-        withdrawal.header = command.header
-        self.network.publish("program", "tap_command", withdrawal)
+        if not self._faulty or self._program_rng.random() >= SHARE_OF_FORGOTTEN_TAPS:
+            withdrawal = TapCommand(request=TapCommand.WITHDRAW, tap_id=command.tap_id)
+            withdrawal.header = command.header
+            self.network.publish("program", "tap_command", withdrawal)
         self.scheduler.run(self.scheduler.now + 0.5)
         self._waiting_faults = []
         self._struck_before = bool(faults)
@@ -876,7 +952,15 @@ class Trial:
     def _publish_conflicting(self, command: TapCommand, conflicting: TapCommand) -> None:
         """Publish two different commands with the same id: one is delivered only to the arm, the
         other only to the tapper."""
-        conflicting.strike_pose.position.x += float(self.rng.choice((-1.0, 1.0))) * 0.02
+        sign = float(self.rng.choice((-1.0, 1.0)))
+        kind, place = int(self._program_rng.integers(3)), conflicting.strike_pose.position
+        if kind == 0:
+            place.x += 0.02 * sign
+        elif kind == 1:
+            place.z += 0.005 * sign
+        else:
+            turned = from_message(conflicting.strike_pose) @ Pose(0.0, 0.0, 0.2 * sign)
+            conflicting.strike_pose = to_message(turned, place.z)
         self.network.publish("second program", "tap_command", conflicting, only="tapper_trigger")
         self.network.publish("program", "tap_command", command, only="scara_arm")
 
@@ -898,7 +982,7 @@ class Trial:
             ahead = float(self.rng.uniform(*FUTURE_STAMP_S))
         command = TapCommand(
             request=TapCommand.TAP,
-            tap_id=max(last + 1, now // NANOSECONDS),
+            tap_id=max(last + 1, self._spoilt_id + 1, now // NANOSECONDS),
             tapper=model.tapper,
             striker_speed=model.striker_speed,
             expiry=to_stamp(now + round((ahead + expiry) * NANOSECONDS)),
@@ -908,6 +992,15 @@ class Trial:
         command.header.frame_id = "table"
         command.header.stamp = to_stamp(now + round(ahead * NANOSECONDS))
         return command
+
+    def _spoil(self, command: TapCommand) -> None:
+        """Make one field of a command wrong."""
+        self._spoilt_id = command.tap_id
+        wrong = draw_wrong_field(self._program_rng)
+        wrong.spoil(command, self.cell)
+        self._note(f"wrong field of tap {command.tap_id}: {wrong.name}")
+        self.note_kind("foreign command")
+        self.checker.command_checker.on_invalid(command.tap_id, wrong.name, wrong.arm_refuses)
 
     def _state_for(self, tap_id: int) -> ObjectState | None:
         """Return the last published state of the object of a tap."""
@@ -988,7 +1081,8 @@ class Trial:
                 self._goal_token = 0
             self._note(f"RESULT {result.error_code} {result.error_msg}")
             self._result = result
-            self.checker.check_result(index, result, self.cell.tolerance)
+            tolerance = self.checker.tolerances.get(index, self.cell.tolerance)
+            self.checker.check_result(index, result, tolerance)
 
         action, request = self._request(index, message)
         process.request(action, request, token, ended)
@@ -1049,6 +1143,9 @@ class Trial:
         if not process.alive:
             return
         process.kill()
+        if process.disk.stop is not None and self._program_rng.random() < SHARE_OF_DAMAGED_STOPS:
+            self._note(f"the stop that {node} has stored is damaged")
+            process.disk.stop = {}
         self.report.by_node[f"kill {node}"] += 1
         self._lost_process(node, crash=True)
         self.scheduler.after(away, lambda: self._start_again(node))
@@ -1067,13 +1164,22 @@ class Trial:
         self.note_kind(f"end of {node}")
         self._asked_to_clear.pop(node, None)  # the request ends with the process
         self.confirmation.on_process_lost(node)
+        self.checker.on_device_lost(node)
         if node == "scara_arm":
             self.checker.forbid_motion()
             self.checker.over_for_arm = 0
             self._taps_of_arm.clear()
+            if self.checker.arm_checker is not None:
+                self.checker.arm_checker.on_process_lost()
         if node == "tapper_trigger":
             self.checker.future_received.clear()
             self.checker.ended_before_restart.update(self.checker.ended_taps)
+            self.checker.command_checker.on_process_lost()
+            if self.checker.peer_checker is not None:
+                self.checker.peer_checker.on_process_lost()
+            # The next process knows no image, and must not fire without one.
+            self.checker.camera_received = -math.inf
+            self.checker.seen_by_tapper.clear()
         if node == "tap_planner":
             self.checker.on_planner_killed(crash)
             self._goal_token = 0
@@ -1171,6 +1277,11 @@ class Trial:
         self.scheduler.after(0.6 * duration, self._recover_too_early)
         self.scheduler.at(self._pressed_until, self._release_emergency_stop)
 
+    def repeat_emergency_stop(self) -> None:
+        """Let the panel repeat its level while its emergency stop is held."""
+        if self.scheduler.now < self._pressed_until:
+            self.network.publish("panel", "emergency_stop", Bool(data=True))
+
     def _release_emergency_stop(self) -> None:
         if self.scheduler.now >= self._pressed_until:
             self._end_hold()
@@ -1248,6 +1359,18 @@ class Trial:
         switch(False)
         self.checker.motor_weak_until = math.inf
         self.scheduler.after(duration, lambda: switch(True))
+
+    def press_stop_button(self, share: float) -> None:
+        """Press the stop button that is wired to a board of the tapper; ``share``, from 0 to 1,
+        selects the board."""
+        boards = self._tapper_boards()
+        board, line = boards[int(share * len(boards))]
+        board.open_stop_loop(self.scheduler.now)
+        line.schedule()
+
+    def _tapper_boards(self) -> list[tuple[TapperEmulator, SerialLine]]:
+        """Return the boards of the tapper with their lines."""
+        return [(self.physical.tapper_board, self.physical.tapper_line)]
 
     def call_stop(self, node: str) -> None:
         """Call a node's service ``stop``."""
@@ -1491,10 +1614,13 @@ class Trial:
             elif topic == "tapper_state" and process == "scara_arm":
                 sent_at = self._reported_at(message.header.stamp)
                 self.checker.set_up.on_device(process, SWITCH, message.enabling_switch, sent_at)
+        if process == "scara_arm" and self.checker.arm_checker is not None:
+            self._tell_arm_checker(self.checker.arm_checker, topic, message)
         if process == "scara_arm" and self._may_move_arm(topic, message):
             self.checker.ask_to_move()
         if process == "tapper_trigger" and topic == "arm_state":
             self.checker.arm_received = now
+            self.checker.command_checker.on_arm_state_received(message)
             self.checker.on_stamp_received(topic, message.header.stamp)
         if process == "tapper_trigger" and topic == "plan_state":
             self.checker.on_stamp_received(topic, message.header.stamp)
@@ -1504,6 +1630,9 @@ class Trial:
             if message.error_code not in BLIND:
                 self.checker.on_stamp_received(topic, message.header.stamp)
                 self.checker.camera_received = now
+                exposed = self.checker.exposed(to_nanoseconds(message.header.stamp))
+                if self.checker.peer_checker is not None:
+                    self.checker.peer_checker.on_image_received(exposed)
             if message.visible:
                 self.checker.seen_by_tapper.append((now, from_message(message.pose.pose)))
                 self.checker.motion_seen_by_tapper = not message.at_rest
@@ -1541,11 +1670,24 @@ class Trial:
                 self.checker.ended_taps.pop(message.tap_id, None)
             self._taken[message.tap_id] = message.header.stamp
             self.checker.on_tap_received(message)
+            self.checker.command_checker.on_tap_received(
+                message.tap_id, self.processes["tapper_trigger"].active
+            )
         withdrawn = topic == "tap_command" and message.request == TapCommand.WITHDRAW
         if withdrawn and process == "scara_arm":
             self.checker.on_withdrawal_received_by_arm(message.tap_id)
+        if withdrawn and process == "tapper_trigger":
+            self.checker.command_checker.on_withdrawal_received(message.tap_id)
         if withdrawn and process == "tapper_trigger" and message.tap_id in self._taken:
             self.checker.ended_taps.setdefault(message.tap_id, now)
+
+    def _tell_arm_checker(self, checker: ArmChecker, topic: str, message: Any) -> None:
+        if topic == "joint_trajectory":
+            checker.on_trajectory_received(message, self.joint_names)
+        elif topic == "tap_command" and message.request == TapCommand.TAP:
+            checker.on_tap_received(message)
+        thawed = self.processes["scara_arm"].frozen_until == self.scheduler.now
+        checker.on_handled(message, thawed)
 
     def _reported_at(self, stamp: Time) -> float:
         """Return the time at which the tapper's node published the message with this stamp; after a
@@ -1571,6 +1713,10 @@ class Trial:
     def _expect_stop_on_wire(self) -> None:
         """Check that a stop received by the tapper's process reaches its board immediately."""
         line, received_at = self.physical.tapper_line, self.scheduler.now
+        # The node sends a repeated stop again, but not within a second.
+        told_before, self._told_at = self._told_at, received_at
+        if told_before < received_at - STOP_AGAIN_S:
+            told_before = received_at - BOOT_S
         struck = line.layer.happened
         if not line.is_open or line.layer.disturbs(Direction.TO_DEVICE):
             return
@@ -1579,12 +1725,20 @@ class Trial:
 
         def check() -> None:
             failed = struck and struck[-1][0] > received_at - BAD_LINE_S
-            failed = failed or self.tapper_power_lost_at > received_at - BAD_LINE_S
+            failed = failed or self.tapper_power_lost_at > min(received_at, told_before)
             cleared = "tapper_trigger" not in self.checker.stopped_at
             if not failed and not cleared and self.physical.tapper_board.state != "STOPPED":
                 self.checker.violate("stop not passed on", "the board did not receive a stop")
 
         self.scheduler.after(STOP_DELIVERY_S, check)
+
+    def _on_lifecycle(self, process: str, active: bool) -> None:
+        if active:
+            return
+        if process == "tapper_trigger":
+            self.checker.command_checker.on_deactivated()
+        elif process == "tap_planner":
+            self.checker.on_planner_deactivated()
 
     def _on_log(self, process: str, sentence: str) -> None:
         self._note(f"{process}: {sentence}")
