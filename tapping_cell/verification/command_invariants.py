@@ -16,6 +16,8 @@ FRESH_S = 0.301
 ABOVE_M, ABOVE_RAD = 0.005 + 1e-6, 0.05 + 1e-6
 """Maximum distance (horizontal) and angle from the tip to its strike pose when the tapper
 charges."""
+INVALID_FROM = "program"
+"""Node that publishes invalid commands."""
 EXPIRED_S = 0.5
 """Maximum time from a tap's expiry until the tapper ends the tap, if it has not begun to charge,
 s."""
@@ -56,6 +58,12 @@ class CommandChecker:
         self.invalid[tap_id] = wrong
         if arm_refuses:
             self._refused_by_arm.add(tap_id)
+
+    def on_published(self, node: str, tap_id: int) -> None:
+        """Process that a node has published a command. If it has the id of an invalid command of
+        another node, this id does not identify the invalid command."""
+        if node != INVALID_FROM and self.invalid.pop(tap_id, None):
+            self._refused_by_arm.discard(tap_id)
 
     def on_tap_received(self, tap_id: int, active: bool) -> None:
         """Process a TAP that the tapper's process has handled. ``active``: whether its node was

@@ -396,6 +396,8 @@ class InvariantChecker:
     def on_publish(self, node: str, topic: str, message: object) -> None:
         """Process a message that a node publishes."""
         if isinstance(message, TapCommand):
+            if message.request == TapCommand.TAP:
+                self.command_checker.on_published(node, message.tap_id)
             if node == "tap_planner":
                 self._note_tap(message)
             if (
