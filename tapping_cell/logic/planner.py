@@ -270,6 +270,8 @@ class PlannerLogic:
         self._resumed: Request | None = None
         """Goal of a planner that crashed, until it is resumed."""
         self._resume_until = -math.inf
+        self._recalled_at = -math.inf
+        """Time at which the goal of the planner that crashed was loaded."""
         self._is_resumed = False
         """Whether the present goal is that of a planner that crashed."""
         self._stop_reported: CodedError | None = None
@@ -653,6 +655,7 @@ class PlannerLogic:
             earlier_taps=taps,
         )
         self._ask_resumed = ask_always
+        self._recalled_at = now.steady
         self._resume_until = now.steady + self._settings.resume_within - event.kept_goal_age
 
     def _resume(self, request: Request, now: Now) -> None:
@@ -660,6 +663,9 @@ class PlannerLogic:
         the start of this planner, end the goal, as the planner that crashed would have done."""
         if now.steady > self._resume_until:
             return  # the node was activated late
+        assert request.time_limit
+        limit = max(request.time_limit - (now.steady - self._recalled_at), 1.0)
+        request = replace(request, time_limit=limit)
         task = self._accepted(lambda: self.goals.accept(request, now))
         if isinstance(task, Refused):
             self._refuse(task, request, now)

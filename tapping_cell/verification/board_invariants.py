@@ -37,6 +37,8 @@ class BoardChecker:
     """Return the time at which a board last lost its power, s."""
     _stopped_since: list[float] = field(default_factory=list)
     """For each board, the time since which it has been stopped; inf while it is not."""
+    _latched_since: float = math.inf
+    """Time since which the node has kept a stop; inf while it keeps none."""
     _reported_since: float = math.inf
     """Time since which the node has reported that it is stopped; inf while it does not."""
 
@@ -47,6 +49,8 @@ class BoardChecker:
         """Process a state that the tapper's node has published. ``latched_since``: time since which
         the node has kept a stop, s; inf while it keeps none."""
         now = self.scheduler.now
+        kept = math.isfinite(latched_since)
+        self._latched_since = min(self._latched_since, latched_since) if kept else math.inf
         stopped = message.state == TapperState.STOPPED
         self._reported_since = min(self._reported_since, now) if stopped else math.inf
         if message.state == TapperState.FAULT and message.error_code == ErrorCode.TAPPER_STOPPED:
@@ -63,8 +67,11 @@ class BoardChecker:
                     f"a board has been stopped for {now - since:.1f} s, but the tapper reports"
                     f" state {message.state}",
                 )
-            kept_since = max(latched_since, self._reported_since)
-            lost = self.power_lost_at() > latched_since - NOTICED_S
+            kept_since = max(self._latched_since, self._reported_since)
+            # A board that restarts loses its stop. The node learns of this when it is cleared.
+            failures = [at for at, _ in line.layer.happened]
+            restarted = max(self.power_lost_at(), *failures, -math.inf)
+            lost = restarted > self._latched_since - NOTICED_S
             if now > kept_since + PASSED_ON_S and not is_stopped and not lost:
                 self.violate(
                     "board not stopped",
