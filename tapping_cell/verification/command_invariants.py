@@ -62,7 +62,8 @@ class CommandChecker:
     def on_published(self, node: str, tap_id: int) -> None:
         """Process that a node has published a command. If it has the id of an invalid command of
         another node, this id does not identify the invalid command."""
-        if node != INVALID_FROM and self.invalid.pop(tap_id, None):
+        if node != INVALID_FROM:
+            self.invalid.pop(tap_id, "")
             self._refused_by_arm.discard(tap_id)
 
     def on_tap_received(self, tap_id: int, active: bool) -> None:
