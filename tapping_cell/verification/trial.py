@@ -408,7 +408,7 @@ class Trial:
             PlanState.CONFIRMING: CONFIRM_S,
         }
         self._people_rng = np.random.default_rng([seed, 11])
-        self._goal_rng = np.random.default_rng([seed, 27])
+        self._request_rng = np.random.default_rng([seed, 27])
         self._goal_limit = self.settings.goal_time_limit
         """Time limit of the last goal, s."""
         self._last_goal: Pose | None = None
@@ -647,12 +647,12 @@ class Trial:
             self.checker.confirmation.asking_goals.add(index)
         position, angle = self.cell.tolerance
         goal = PositionObject.Goal(goal_pose=message, ask=asks, max_taps=self.tap_limit)
-        if self._goal_rng.random() < SHARE_OF_TOLERANCES:
-            goal.position_tolerance = position = position * self._goal_rng.uniform(*WIDER)
-            goal.angle_tolerance = angle = angle * self._goal_rng.uniform(*WIDER)
+        if self._faulty and self._request_rng.random() < SHARE_OF_TOLERANCES:
+            goal.position_tolerance = position = position * self._request_rng.uniform(*WIDER)
+            goal.angle_tolerance = angle = angle * self._request_rng.uniform(*WIDER)
         self.checker.tolerances[index] = position, angle
-        if self._goal_rng.random() < SHARE_OF_SHORT_LIMITS:
-            limit = draw_duration(self._goal_rng, *SHORT_LIMIT_S)
+        if self._faulty and self._request_rng.random() < SHARE_OF_SHORT_LIMITS:
+            limit = draw_duration(self._request_rng, *SHORT_LIMIT_S)
             goal.time_limit = self._goal_limit = self.checker.time_limits[index] = limit
         return "position_object", goal
 
@@ -798,7 +798,7 @@ class Trial:
         if self.asks and self._last_goal is not None and self._result is not None:
             # A person repeats a goal that has failed; its taps must be confirmed again.
             failed = self._result.error_code > 0 and not self.checker.planner_has_crashed
-            if failed and self._goal_rng.random() < SHARE_OF_REPEATED_GOALS:
+            if failed and self._request_rng.random() < SHARE_OF_REPEATED_GOALS:
                 return self._last_goal
         true = self.physical.object_pose(self.scheduler.now)
         goal = self.draw_goal(rng)

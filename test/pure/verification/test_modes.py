@@ -110,13 +110,15 @@ def test_work_that_begins_without_the_device_is_detected(trial: Trial) -> None:
 
 
 def test_a_check_that_is_passed_without_the_device_is_detected(trial: Trial) -> None:
-    trial.checker.on_asked("tapper_trigger", "charge", None)
+    checker = trial.checker.set_up
+    assert checker is not None
+    checker.on_asked("charge", None)
     assert found(trial) == set()
     trial.release_enabling(BOTH, False, 60.0)
     trial.scheduler.run(trial.scheduler.now + 0.7)
-    trial.checker.on_asked("tapper_trigger", "charge", (910, "released"))
+    checker.on_asked("charge", (910, "released"))
     assert found(trial) == set()
-    trial.checker.on_asked("tapper_trigger", "charge", None)
+    checker.on_asked("charge", None)
     assert found(trial) == {"work without enabling"}
 
 

@@ -26,7 +26,7 @@ class ScenarioCell:
     """A cell that is ready, with the messages that its nodes publish from then on."""
 
     def __init__(self) -> None:
-        self.trial = Trial(seed=21)
+        self.trial = Trial(seed=21, faults=False)
         self.trial.bring_up()
         self.trial.physical.world.place(START)
         self.plans: list[PlanState] = []

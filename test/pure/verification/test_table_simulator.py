@@ -98,7 +98,7 @@ def test_the_invariants_detect_violations() -> None:
     told.received = told.seen = -math.inf
     checker._check_basis(good.shot)
     assert "hidden object ignored" not in names()
-    checker._withdrawn.clear()
+    checker._own_tap = checker.commands[good.shot]
     checker._tap, checker._waiting = good.shot, (PlanState.PLACING, 0.0, 0.0, 0.0)
     checker._check_others_of_tap("object_states", other, good.poses[other])
     trial.scheduler.run(trial.scheduler.now + 0.2)
