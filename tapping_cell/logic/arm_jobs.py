@@ -160,7 +160,7 @@ def follow(
     for target, at in targets:
         speed = speed_for(driver.geometry, here, target, at - before) if at > before else 1.0
         waypoint = Waypoint(target, scale * speed, "trajectory")
-        if speed > 0 and not _move_along(context, (waypoint,)):
+        if target != here and not _move_along(context, (waypoint,)):
             complete = False
             break
         here, before = target, at

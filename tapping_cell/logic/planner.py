@@ -626,7 +626,7 @@ class PlannerLogic:
             # After the goal was stored, only the time of the file was updated. The difference is
             # negative after a start of the computer, because the steady clock then starts anew.
             passed = now.steady - float(kept.get("kept_at", now.steady))
-            limit = max(float(kept["time_left"]) - max(passed, event.kept_goal_age), 1.0)
+            left = float(kept["time_left"]) - max(passed, event.kept_goal_age)
             most, ask = int(kept["max_taps"]), bool(kept["ask"])
             # Earlier versions did not store the following two.
             ask_always, probe = bool(kept.get("ask_always")), bool(kept.get("probe"))
@@ -648,7 +648,7 @@ class PlannerLogic:
             position,
             angle,
             most,
-            limit,
+            left,
             probe=probe,
             ask=ask,
             object_id=name,
@@ -663,9 +663,8 @@ class PlannerLogic:
         the start of this planner, end the goal, as the planner that crashed would have done."""
         if now.steady > self._resume_until:
             return  # the node was activated late
-        assert request.time_limit
-        limit = max(request.time_limit - (now.steady - self._recalled_at), 1.0)
-        request = replace(request, time_limit=limit)
+        left = request.time_limit - (now.steady - self._recalled_at)
+        request = replace(request, time_limit=max(left, 1.0))
         task = self._accepted(lambda: self.goals.accept(request, now))
         if isinstance(task, Refused):
             self._refuse(task, request, now)

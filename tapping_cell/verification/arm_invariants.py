@@ -39,8 +39,6 @@ SMALLEST_MOVE = 1e-3
 ELSEWHERE_M, HEIGHT_M = 0.0025, 0.0005
 """Maximum deviations of the tip from a strike pose, horizontally and vertically, when the arm
 reports that it is in position, m."""
-BAD_LINE_S = 15.0
-"""Time after a fault of the arm's line for which its motion may differ from its commands, s."""
 ROUNDING = 1e-9
 
 
@@ -240,8 +238,7 @@ class ArmChecker:
     def _line_failed(self) -> bool:
         """Return whether the arm's line has changed bytes recently: some controllers' commands and
         replies have no checksum."""
-        struck = self.physical.arm_line.layer.happened
-        return bool(struck) and struck[-1][0] > self.scheduler.now - BAD_LINE_S
+        return self.physical.arm_line.failed_since(self.scheduler.now)
 
     def on_promise(self, request: HoldStill.Request) -> None:
         """Check a new promise to stand still."""

@@ -18,8 +18,6 @@ NOTICED_S = 1.0
 PASSED_ON_S = 0.5
 """Maximum time from when the tapper's node keeps and reports a stop until its boards are stopped,
 s."""
-BAD_LINE_S = 15.0
-"""Time within which the driver must detect a fault of a line and open the line again, s."""
 AT_WORK = (TapperState.SAFE, TapperState.CHARGING, TapperState.CHARGED, TapperState.FIRING)
 
 
@@ -69,8 +67,7 @@ class BoardChecker:
                 )
             kept_since = max(self._latched_since, self._reported_since)
             # A board that restarts loses its stop. The node learns of this when it is cleared.
-            failures = [at for at, _ in line.layer.happened]
-            restarted = max(self.power_lost_at(), *failures, -math.inf)
+            restarted = max(self.power_lost_at(), line.failed_at)
             lost = restarted > self._latched_since - NOTICED_S
             if now > kept_since + PASSED_ON_S and not is_stopped and not lost:
                 self.violate(
@@ -81,8 +78,7 @@ class BoardChecker:
 
     def _is_reached(self, line: SerialLine) -> bool:
         """Return whether the node can reach the board of a line."""
-        since = self.scheduler.now - BAD_LINE_S
-        failed = bool(line.layer.happened) and line.layer.happened[-1][0] > since
-        runs = self.scheduler.now > self.runs_since() + NOTICED_S
+        now = self.scheduler.now
+        runs = now > self.runs_since() + NOTICED_S
         disturbed = any(line.layer.disturbs(way) for way in Direction)
-        return line.is_open and runs and not failed and not disturbed
+        return line.is_open and runs and not line.failed_since(now) and not disturbed

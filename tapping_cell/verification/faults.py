@@ -896,10 +896,11 @@ def _stop_and_reset(rng: np.random.Generator, trial: FaultTarget) -> Made:
 
 def _stop_at_the_cell(rng: np.random.Generator, trial: FaultTarget) -> Made:
     """Somebody presses the stop button that is wired to the tapper's board."""
+    share = float(rng.random())
 
     def strike(t: FaultTarget) -> None:
         t.note_kind("stop of tapper_trigger")
-        t.press_stop_button(float(rng.random()))
+        t.press_stop_button(share)
 
     return strike, "the stop button at the tapper's board is pressed"
 

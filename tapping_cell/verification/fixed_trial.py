@@ -34,9 +34,8 @@ from tapping_cell.verification.fixed_faults import (
 )
 from tapping_cell.verification.fixed_invariants import FixedInvariantChecker
 from tapping_cell.verification.host import Program, copy_of
-from tapping_cell.verification.serial_line import BusyLine, SerialLine
+from tapping_cell.verification.serial_line import BAD_LINE_S, BusyLine, SerialLine
 from tapping_cell.verification.trial import (
-    BAD_LINE_S,
     CLEAR_VIEW_S,
     RECOVERY_S,
     SERVES,
@@ -114,11 +113,10 @@ class FixedTrial(Trial):
         return checker
 
     def _unread_until(self) -> float:
-        faults = [
-            happened[-1][0] for line in self.physical.lines if (happened := line.layer.happened)
-        ]
         process = self.processes["tapper_trigger"]
-        return max(process.frozen_until, *(at + BAD_LINE_S for at in faults), -math.inf)
+        return max(
+            process.frozen_until, *(line.failed_at + BAD_LINE_S for line in self.physical.lines)
+        )
 
     def _covers(self) -> bool:
         return False

@@ -274,9 +274,9 @@ class InvariantChecker:
     served this tap; 0 if there is none."""
     command_checker: CommandChecker = field(init=False)
     """Checker of the commands that arm and tapper execute."""
-    board_checker: BoardChecker | None = None
+    board_checker: BoardChecker = field(init=False)
     """Checker of the stops of the tapper's boards."""
-    peer_checker: PeerChecker | None = None
+    peer_checker: PeerChecker = field(init=False)
     """Checker of the ages of the messages that the tapper has received."""
     arm_checker: ArmChecker | None = None
     """Checker of the arm's node."""
@@ -483,8 +483,7 @@ class InvariantChecker:
     def _check_release(self, release: Release, earlier: list[Release]) -> None:
         shot = release.shot
         self.command_checker.on_release(shot)
-        if self.peer_checker is not None:
-            self.peer_checker.on_release(shot)
+        self.peer_checker.on_release(shot)
         if self.arm_checker is not None:
             self.arm_checker.on_release(shot)
         if any(before.shot == shot for before in earlier):
@@ -575,7 +574,7 @@ class InvariantChecker:
     def on_stamp_received(self, topic: str, stamp: Time) -> None:
         """Process the stamp of a message that the tapper's process received."""
         ahead = to_seconds(stamp) - 1e-9 * self.tapper_clock.now().ros
-        if self.peer_checker is not None and topic != "object_state":
+        if topic != "object_state":
             # The camera's clock is also known from other topics.
             self.peer_checker.on_stamp_received(topic, stamp)
         if ahead > SKEW_LIMIT_S + ROUNDING_S:
@@ -1363,9 +1362,8 @@ class InvariantChecker:
     def _on_tapper_state(self, message: TapperState) -> None:
         self._report = message
         self.command_checker.on_tapper_state(message)
-        if self.board_checker is not None:
-            latched = self._latched.get("tapper_trigger", math.inf)
-            self.board_checker.on_tapper_state(message, latched)
+        latched = self._latched.get("tapper_trigger", math.inf)
+        self.board_checker.on_tapper_state(message, latched)
         self._note_stop("tapper_trigger", message, message.state == TapperState.STOPPED)
         # A node that was frozen handles the command and the state at the same time.
         waited_for = self._tapping_received >= self._first_taken.get(message.tap_id, -math.inf)

@@ -754,8 +754,8 @@ MUTANTS: tuple[Mutant, ...] = (
     Mutant(
         "gives a resumed goal its whole time limit again",
         "tapping_cell.logic.planner",
-        'limit = max(float(kept["time_left"]) - max(passed, event.kept_goal_age), 1.0)',
-        "limit = self._settings.goal_time_limit",
+        'left = float(kept["time_left"]) - max(passed, event.kept_goal_age)',
+        "left = self._settings.goal_time_limit",
         kinds=("kill",),
     ),
     Mutant(

@@ -10,6 +10,9 @@ from tapping_cell.simulation.fault_layer import FaultLayer
 from tapping_cell.simulation.virtual_line import LineEnd
 from tapping_cell.verification.scheduler import Fiber, Scheduler, Timer
 
+BAD_LINE_S = 15.0
+"""Time within which a driver must detect a fault of its serial line and open the line again, s."""
+
 
 class SerialLine(LineEnd):
     """A board connected by a line that may fail. The board keeps running while the host does not
@@ -32,6 +35,17 @@ class SerialLine(LineEnd):
     def set_clock(self, offset: float) -> None:
         """Set the host's steady clock to the time of the run plus ``offset`` in s."""
         self._offset = offset
+
+    @property
+    def failed_at(self) -> float:
+        """Time of the last fault of the line, s from the start of the run; -inf: none."""
+        happened = self.layer.happened
+        return happened[-1][0] if happened else -math.inf
+
+    def failed_since(self, time: float) -> bool:
+        """Return whether a fault of the line may have had an effect since ``time``, in s from the
+        start of the run."""
+        return self.failed_at > time - BAD_LINE_S
 
     # Events of the board
 

@@ -248,9 +248,6 @@ STOP_AGAIN_S, BOOT_S = 1.05, 0.5
 loss of power during which the board may not receive it, s."""
 STOP_DELIVERY_S = 0.1
 """Maximum time from the delivery of a stop to the tapper's process until its board has stopped."""
-BAD_LINE_S = 15.0
-"""Time within which the driver must detect a fault of its serial line and open the line again,
-s."""
 HAND_STEP_S = 1 / 60
 """Time between the small steps in which a hand moves the object slowly, s."""
 CANCEL_S = 0.5
@@ -1175,8 +1172,7 @@ class Trial:
             self.checker.future_received.clear()
             self.checker.ended_before_restart.update(self.checker.ended_taps)
             self.checker.command_checker.on_process_lost()
-            if self.checker.peer_checker is not None:
-                self.checker.peer_checker.on_process_lost()
+            self.checker.peer_checker.on_process_lost()
             # The next process knows no image, and must not fire without one.
             self.checker.camera_received = -math.inf
             self.checker.seen_by_tapper.clear()
@@ -1631,8 +1627,7 @@ class Trial:
                 self.checker.on_stamp_received(topic, message.header.stamp)
                 self.checker.camera_received = now
                 exposed = self.checker.exposed(to_nanoseconds(message.header.stamp))
-                if self.checker.peer_checker is not None:
-                    self.checker.peer_checker.on_image_received(exposed)
+                self.checker.peer_checker.on_image_received(exposed)
             if message.visible:
                 self.checker.seen_by_tapper.append((now, from_message(message.pose.pose)))
                 self.checker.motion_seen_by_tapper = not message.at_rest
@@ -1717,15 +1712,13 @@ class Trial:
         told_before, self._told_at = self._told_at, received_at
         if told_before < received_at - STOP_AGAIN_S:
             told_before = received_at - BOOT_S
-        struck = line.layer.happened
         if not line.is_open or line.layer.disturbs(Direction.TO_DEVICE):
             return
-        if struck and struck[-1][0] > received_at - BAD_LINE_S:
+        if line.failed_since(received_at):
             return
 
         def check() -> None:
-            failed = struck and struck[-1][0] > received_at - BAD_LINE_S
-            failed = failed or self.tapper_power_lost_at > min(received_at, told_before)
+            failed = line.failed_since(received_at) or self.tapper_power_lost_at > told_before
             cleared = "tapper_trigger" not in self.checker.stopped_at
             if not failed and not cleared and self.physical.tapper_board.state != "STOPPED":
                 self.checker.violate("stop not passed on", "the board did not receive a stop")
