@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import secrets
+from collections.abc import Callable
 from typing import cast
 
 from tapping_cell.configuration.cell import ArmSection, Ros2ControlSection
@@ -16,15 +18,19 @@ from tapping_cell.hardware.trajectory_link import TrajectoryLink
 from tapping_cell.hardware.transport import Transport
 
 
-def make_arm_driver(arm: ArmSection, connection: Transport | TrajectoryLink) -> ArmDriver:
+def make_arm_driver(
+    arm: ArmSection,
+    connection: Transport | TrajectoryLink,
+    draw_number: Callable[[int], int] = secrets.randbelow,
+) -> ArmDriver:
     """Create the driver of the cell's arm. Nothing is sent to the controller.
 
     ``connection`` is a serial line or, for the dialect ``ros2_control``, a link to the arm's ROS
-    controller. It may be open or closed.
+    controller. It may be open or closed. ``draw_number`` returns a random number from 0 to below
+    its argument, for the line numbers of Marlin.
     """
-    return ArmDriver(
-        connection, make_dialect(arm, connection), arm.geometry(), arm.driver_settings()
-    )
+    dialect = make_dialect(arm, connection, draw_number)
+    return ArmDriver(connection, dialect, arm.geometry(), arm.driver_settings())
 
 
 def joint_accelerations(arm: ArmSection) -> tuple[float, ...]:
@@ -39,8 +45,15 @@ def joint_accelerations(arm: ArmSection) -> tuple[float, ...]:
     return own.chain.max_acceleration
 
 
-def make_dialect(arm: ArmSection, connection: Transport | TrajectoryLink) -> ArmDialect:
-    """Create the dialect of the arm's controller, with the controller settings it requires."""
+def make_dialect(
+    arm: ArmSection,
+    connection: Transport | TrajectoryLink,
+    draw_number: Callable[[int], int] = secrets.randbelow,
+) -> ArmDialect:
+    """Create the dialect of the arm's controller, with the controller settings it requires.
+
+    ``draw_number``: see :func:`make_arm_driver`.
+    """
     if arm.ros2_control is not None:
         link = cast(TrajectoryLink, connection)
         chain, section = arm.chain(), arm.ros2_control.chain
@@ -51,7 +64,8 @@ def make_dialect(arm: ArmSection, connection: Transport | TrajectoryLink) -> Arm
     transport = cast(Transport, connection)
     needs = arm.controller_needs()
     if arm.dialect == "marlin":
-        return MarlinDialect(transport, MarlinSettings(letters=arm.axis_letters, needs=needs))
+        settings = MarlinSettings(letters=arm.axis_letters, needs=needs)
+        return MarlinDialect(transport, settings, draw_number)
     # $13 = 0 makes the controller report in mm and degrees.
     expected = {13: 0.0} | {int(number): value for number, value in arm.grbl_settings}
     return GrblDialect(

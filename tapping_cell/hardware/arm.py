@@ -61,6 +61,9 @@ UNANSWERED = (FaultReason.TIMEOUT, FaultReason.UNKNOWN_FIRMWARE, FaultReason.NEE
 MIN_BAD_LINES = 3
 """A timeout is attributed to unreadable lines if at least this many lines, and at least half of all
 lines of the call, were unreadable."""
+MIN_UNREADABLE_BYTES = 100
+"""A timeout is also attributed to unreadable lines if at least this many bytes, more than one
+reply, contained no readable line. Damage to the ends of lines joins many lines to one."""
 OF_A_STOP = (FaultReason.STOPPED, FaultReason.ALARM, FaultReason.BOARD_RESET)
 """Fault reasons that a stop of the arm can cause."""
 
@@ -624,6 +627,15 @@ class ArmDriver:
             what = f"{received.strange} of {received.total} bytes from {name} are not text"
         elif fault.reason is FaultReason.TIMEOUT and bad >= max(MIN_BAD_LINES, 0.5 * lines):
             what = f"{bad} of {lines} lines from the arm's controller on {name} were unreadable"
+        elif (
+            fault.reason is FaultReason.TIMEOUT
+            and bad == lines
+            and received.total >= MIN_UNREADABLE_BYTES
+        ):
+            what = (
+                f"{received.total} bytes from the arm's controller on {name} contained no readable"
+                " line"
+            )
         else:
             return fault
         if not self._connected and not received.are_noise:

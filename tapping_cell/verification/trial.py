@@ -702,7 +702,9 @@ class Trial:
                 home_on_activate=self.set_up,
                 draw_key=lambda: int(draw.integers(1, 2**63)),
             )
-            driver = make_arm_driver(cell.arm, arm_line)
+            driver = make_arm_driver(
+                cell.arm, arm_line, draw_number=lambda below: int(draw.integers(below))
+            )
             return ArmLogic(options), CheckedArm(
                 driver, self.checker.check_move, self.checker.check_start
             )

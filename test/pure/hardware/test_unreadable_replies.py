@@ -6,7 +6,7 @@ from __future__ import annotations
 import re
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from wrong_baud import WrongBaud, sampled
 
@@ -38,10 +38,10 @@ class Line:
         self.clock = VirtualClock()
         self.transport = VirtualTransport(self.layer, self.clock, "the port")
 
-    def disturb(self, every: int, count: int = 4000) -> None:
-        """Flip a bit in every ``every``-th byte from the board."""
+    def disturb(self, every: int, count: int = 4000, start: int = 0) -> None:
+        """Flip a bit in every ``every``-th byte from the board, after ``start`` bytes."""
         way = Direction.TO_HOST
-        first = self.layer.count(way)
+        first = self.layer.count(way) + start
         for number in range(count):
             byte = first + every * number
             self.layer.add(LineFault(FaultKind.FLIP, way, byte, bit=number % 7))
@@ -51,8 +51,9 @@ def board_of(dialect: str) -> DeviceEmulator:
     return arm_emulator(shipped_cell(dialect).arm, ArmTruth(), 1, 0.0)
 
 
-def arm_on(line: Line, dialect: str) -> ArmDriver:
-    return make_arm_driver(shipped_cell(dialect).arm, line.transport)
+def arm_on(line: Line, dialect: str, number: int = 10**7) -> ArmDriver:
+    """Return the driver of an arm. ``number`` is added to Marlin's lowest first line number."""
+    return make_arm_driver(shipped_cell(dialect).arm, line.transport, lambda below: number)
 
 
 @given(st.binary(max_size=60), st.sampled_from((9600.0, 115200.0, 250000.0)))
@@ -83,16 +84,24 @@ def test_a_tapper_at_another_baud_rate_never_looks_like_a_tapper(rate: int) -> N
     assert caught.value.reason in (FaultReason.PROTOCOL, FaultReason.UNKNOWN_FIRMWARE)
 
 
-@pytest.mark.parametrize("dialect", DIALECTS)
-def test_interference_on_the_line_of_a_connected_arm_is_reported(dialect: str) -> None:
+@given(st.sampled_from(DIALECTS), st.integers(1, 8), st.integers(0, 2))
+@settings(max_examples=100, deadline=None)
+@example("marlin", 6, 0)  # the damage to the line ends leaves only two lines
+def test_interference_on_the_line_of_a_connected_arm_is_reported(
+    dialect: str, digits: int, phase: int
+) -> None:
     line = Line(board_of(dialect))
-    driver = arm_on(line, dialect)
+    driver = arm_on(line, dialect, 10**digits - 10**digits // 3)
     driver.connect()
-    line.disturb(3)
+    line.disturb(3, start=phase)
     with pytest.raises(HardwareFault) as caught:
         driver.read()
     assert of_arm(caught.value) == ErrorCode.ARM_REPLY_GARBLED, caught.value
-    assert "lines from the arm's controller on the port were unreadable" in str(caught.value)
+    assert re.search(
+        r"lines from the arm's controller on the port were unreadable|"
+        r"bytes from the arm's controller on the port contained no readable line",
+        str(caught.value),
+    )
 
 
 @pytest.mark.parametrize("every", [3, 5, 7])

@@ -4,6 +4,7 @@ defect makes the checks fail."""
 from __future__ import annotations
 
 import math
+import random
 
 import pytest
 
@@ -60,6 +61,19 @@ def test_the_same_seed_gives_the_same_trace() -> None:
     first, second = (run_trial(7, 4, trace=True) for _ in range(2))
     assert first.trace == second.trace
     assert len(first.trace) > 100
+
+
+@pytest.mark.parametrize("dialect", ["grbl", "marlin"])
+def test_a_run_draws_no_number_that_is_not_of_its_seed(
+    monkeypatch: pytest.MonkeyPatch, dialect: str
+) -> None:
+    def refuse(self: random.SystemRandom, bits: int) -> int:
+        raise AssertionError("a random number of the operating system")
+
+    monkeypatch.setattr(random.SystemRandom, "getrandbits", refuse)
+    trials = (Trial(seed=seed, faults=False) for seed in range(100))
+    report = next(trial for trial in trials if trial.cell.arm.dialect == dialect).run(1)
+    assert report.violations == []
 
 
 @pytest.mark.parametrize("seed", range(RUNS))
