@@ -137,7 +137,7 @@ class ArmChecker:
         self._commands.setdefault(command.tap_id, []).append(command)
         begun, self._begun = self._begun, 0
         late = 1e-9 * (self.clock.now().ros - to_nanoseconds(command.expiry))
-        if begun == command.tap_id and late > EXPIRED_S:
+        if begun and begun == command.tap_id and late > EXPIRED_S:
             self.violate(
                 "began an expired tap",
                 f"the arm began to move for tap {begun} {late:.2f} s after its command had expired",

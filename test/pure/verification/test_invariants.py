@@ -109,3 +109,9 @@ def test_a_refused_command_does_not_hide_that_a_hand_moved_the_object(
     checker.on_publish("scara_arm", "arm_state", ArmState())
     checker.on_publish("scara_arm", "arm_state", ArmState(clear_of_camera=True))
     assert {violation.name for violation in checker.violations} == {"false view"}
+
+
+def test_a_refused_expired_command_without_an_id_is_no_violation(trial: Trial) -> None:
+    trial.network.publish("other program", "tap_command", TapCommand(request=TapCommand.TAP))
+    trial.scheduler.run(trial.scheduler.now + 1.0)
+    assert trial.checker.violations == []
