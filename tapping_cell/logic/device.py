@@ -336,6 +336,8 @@ class DeviceLogic(ABC, Generic[State, Event]):
         # Requests that the handler has already answered receive no other answer.
         self._effects = [e for e in self._effects if isinstance(e, Answer | AbandonJob)]
         self._effects.append(StopWire())
+        if isinstance(lost, Activated | Deactivated):
+            self._active = isinstance(lost, Activated)
         self._latch_lost_stop(lost)
         self._stops.forget_refusal()
         self._keep_stops(now)  # the handler may have latched or reset a stop

@@ -67,9 +67,9 @@ class UnansweredRequest:
     token: Token
 
 
-LostEvent = UnansweredRequest | JobEnded | Bool
-"""Event whose handler has raised and that must not be lost: a request, the end of a job, or a
-message on ``emergency_stop``."""
+LostEvent = UnansweredRequest | JobEnded | Bool | Activated | Deactivated
+"""Event whose handler has raised and that must not be lost: a request, the end of a job, a message
+on ``emergency_stop``, or the activation or deactivation of the node."""
 
 
 class Logic(Protocol):
@@ -109,5 +109,5 @@ class Logic(Protocol):
         """Go to a safe state and report INTERNAL after a handler has raised ``error``.
 
         ``lost``: the event of the handler, if it must not be lost. A request is answered with a
-        failure, and a stop is latched.
+        failure, a stop is latched, and after a deactivation the machine is inactive.
         """

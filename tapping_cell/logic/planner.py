@@ -446,6 +446,8 @@ class PlannerLogic:
         # What the handler has already decided still takes effect, for example a withdrawal or an
         # answer, because it is not repeated. Only nothing new begins.
         self._effects = [effect for effect in self._effects if not _begins(effect)]
+        if isinstance(lost, Activated | Deactivated):
+            self._active = isinstance(lost, Activated)
         if self._shot is not None and self._shot.tap_id != self._commanded:
             self._shot = None  # its command was not published
         self._end_tap(now)

@@ -6,6 +6,7 @@ charged, and returns to rest when the board detects the striker back at its moun
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
@@ -47,6 +48,8 @@ HOLD_TIMEOUT_S = 0.2
 HOLD_ATTEMPTS = 5
 PROVE_PERIOD_S = 0.5
 """Time between two attempts to verify that the strikers are at their mounts."""
+REFUSED_KEPT = 32
+"""Number of refused commands that are kept, so that copies of them are recognised."""
 LONGEST_CHARGED_S = 3.0
 """Maximum time from the end of charging until the arm is in position. After this time the striker
 is discharged."""
@@ -227,6 +230,10 @@ class TapperLogic(DeviceLogic[State, Event]):
         self._key = 0
         self._draw_key = options.draw_key
         self._last_tap_id = 0
+        self._refused: deque[tuple[int, int]] = deque(maxlen=REFUSED_KEPT)
+        """Ids and stamps (ns) of the last commands that were refused while the outcome of another
+        tap was not known. A copy that arrives later, perhaps after the withdrawal, is also
+        refused."""
         self._used: int | None = None
         """Greatest shot number for which the board has charged, including charges before this node
         was started; None until the board has been read."""
@@ -390,6 +397,11 @@ class TapperLogic(DeviceLogic[State, Event]):
                 f"a striker speed of {1000 * speed:.1f} mm/s is outside the tapper's "
                 f"{1000 * curve.slowest:.1f} to {1000 * curve.fastest:.1f} mm/s",
             )
+        if _id_and_stamp(command) in self._refused:
+            return (
+                ErrorCode.COMMAND_REPEATED,
+                "this command was refused before; send a new tap with a greater id",
+            )
         return tap_commands.refusal(command, now, max(self._last_tap_id, self._used or 0))
 
     def _refuse(self, command: TapCommand, refusal: CodedError, now: Now) -> None:
@@ -400,7 +412,9 @@ class TapperLogic(DeviceLogic[State, Event]):
         # largest valid id is not recorded either, because it would become the last id. The largest
         # valid id does not depend on refused taps, so that these cannot raise it.
         new = self._last_tap_id < command.tap_id <= tap_commands.largest_id(self._used or 0, now)
-        if new and not self._awaits_outcome():
+        if new and self._awaits_outcome():
+            self._refused.append(_id_and_stamp(command))
+        elif new:
             self._last_tap_id = command.tap_id
             if self._used is not None:
                 # Before the board is read, no outcome is published: the tap may have been fired by
@@ -916,3 +930,7 @@ def _why_not_charged(reply: Reply) -> CodedError:
         " itself because it received no request for 0.5 s, the guard was opened or the enabling"
         " switch of set-up mode released briefly, or its supply failed",
     )
+
+
+def _id_and_stamp(command: TapCommand) -> tuple[int, int]:
+    return command.tap_id, to_nanoseconds(command.header.stamp)

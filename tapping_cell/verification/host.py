@@ -341,7 +341,8 @@ class Process:
                 return
             self.active = isinstance(event, Activated)
             self.inactive_since = math.inf if self.active else self._scheduler.now
-            self._handle(self.logic.on_lifecycle, event)
+            lost = event if isinstance(event, Activated | Deactivated) else None
+            self._handle(self.logic.on_lifecycle, event, received=lost)
             self.on_lifecycle(self.name, self.active)
 
         self._when_awake(handle)

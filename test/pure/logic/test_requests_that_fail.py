@@ -11,7 +11,7 @@ from test_planner_with_played_devices import FAST, GOAL, Actors
 from tapping_cell.logic.arm import ArmLogic, ArmOptions
 from tapping_cell.logic.clock import Now
 from tapping_cell.logic.effects import Answer
-from tapping_cell.logic.host import UnansweredRequest
+from tapping_cell.logic.host import Activated, Deactivated, UnansweredRequest
 from tapping_cell.logic.planner import PlannerLogic, State
 from tapping_cell.logic.poses import to_message
 from tapping_cell.logic.tapper import TapperLogic, TapperOptions
@@ -263,3 +263,27 @@ def test_the_last_tap_counts_once_if_the_end_of_its_goal_raises(
     raised = fail_at_cancellation(monkeypatch, clients, fails)
     clients.wait(lambda: clients.first, "the client's result")
     assert raised and clients.first[0].taps == 1
+
+
+@pytest.mark.parametrize("logic", [ArmLogic(ArmOptions()), TapperLogic(TapperOptions())])
+def test_a_driver_follows_a_life_cycle_event_whose_handler_raises(
+    logic: ArmLogic | TapperLogic,
+) -> None:
+    """The node counts as active or inactive, so its state machine must be, too."""
+    for event in (Activated(), Deactivated()):
+        logic.on_defect(ZeroDivisionError("defect"), NOW, event)
+        assert logic.active == isinstance(event, Activated)
+
+
+def test_a_planner_whose_deactivation_raises_accepts_no_goal(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    clients = Clients()
+    logic = clients.process.logic
+    with monkeypatch.context() as broken:
+        broken.setattr(logic, "on_lifecycle", fail)
+        clients.process.lifecycle(Deactivated())
+    assert clients.first[0].error_code == ErrorCode.INTERNAL
+    asked = PositionObject.Goal(goal_pose=placed(OTHER))
+    (answer,) = clients.send_action("position_object", asked, 2)
+    assert answer.error_code == ErrorCode.NOT_ACTIVE

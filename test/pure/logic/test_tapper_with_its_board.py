@@ -175,6 +175,28 @@ def test_a_withdrawn_tap_is_not_fired_later(cell: Cell) -> None:
     assert cell.shots() == []
 
 
+def test_a_copy_of_a_refused_command_is_not_fired_after_its_withdrawal(cell: Cell) -> None:
+    """The command arrives while the tapper serves another program's tap, and a copy of it when the
+    tapper is at rest again."""
+    cell.command(100)
+    cell.wait(lambda: cell.last.tap_id == 100, "accepted")
+    message = TapCommand(request=TapCommand.TAP, tap_id=101, striker_speed=0.3)
+    message.header.frame_id, message.header.stamp = "table", cell.stamp(0.0)
+    message.expiry = cell.stamp(30.0)
+    cell.publish("tap_command", message)
+    cell.run(0.1)
+    cell.withdraw(101)
+    cell.withdraw(100)
+    cell.wait(lambda: cell.outcome(100) == TapperState.NOT_FIRED, "withdrawn")
+    cell.publish("tap_command", message)
+    cell.wait(lambda: cell.outcome(101) == TapperState.NOT_FIRED, "refused")
+    assert cell.last.error_code == ErrorCode.COMMAND_REPEATED
+    cell.keep_publishing(0.5, tap_id=101)
+    assert cell.shots() == []
+    cell.fire(102)
+    assert cell.shots() == [102]
+
+
 def test_a_tap_older_than_one_served_is_refused(cell: Cell) -> None:
     cell.fire(100)
     cell.command(50)
