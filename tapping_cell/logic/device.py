@@ -332,12 +332,12 @@ class DeviceLogic(ABC, Generic[State, Event]):
         self, error: Exception, now: Now, lost: LostEvent | None = None
     ) -> Sequence[Effect]:
         """Stop the device and report INTERNAL after a handler has raised ``error``."""
+        if isinstance(lost, Activated | Deactivated):
+            self._active = isinstance(lost, Activated)
         unstarted = range(self._handed_out + 1, self._jobs + 1)
         # Requests that the handler has already answered receive no other answer.
         self._effects = [e for e in self._effects if isinstance(e, Answer | AbandonJob)]
         self._effects.append(StopWire())
-        if isinstance(lost, Activated | Deactivated):
-            self._active = isinstance(lost, Activated)
         self._latch_lost_stop(lost)
         self._stops.forget_refusal()
         self._keep_stops(now)  # the handler may have latched or reset a stop
