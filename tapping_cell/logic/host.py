@@ -67,9 +67,9 @@ class UnansweredRequest:
     token: Token
 
 
-LostEvent = UnansweredRequest | JobEnded | Bool | Activated | Deactivated
+LostEvent = UnansweredRequest | JobEnded | Bool | LifecycleEvent
 """Event whose handler has raised and that must not be lost: a request, the end of a job, a message
-on ``emergency_stop``, or the activation or deactivation of the node."""
+on ``emergency_stop``, or a life-cycle event, of which activation and deactivation still count."""
 
 
 class Logic(Protocol):

@@ -124,8 +124,7 @@ class LogicHost(Generic[Machine]):
 
     def lifecycle(self, event: LifecycleEvent) -> None:
         """Notify the state machine of a life-cycle event of its node."""
-        lost = event if isinstance(event, Activated | Deactivated) else None
-        self._dispatch(lambda now: self._logic.on_lifecycle(event, now), lost)
+        self._dispatch(lambda now: self._logic.on_lifecycle(event, now), event)
 
     def receive(self, topic: str, message: Any) -> None:
         """Pass a message to the state machine."""

@@ -341,8 +341,7 @@ class Process:
                 return
             self.active = isinstance(event, Activated)
             self.inactive_since = math.inf if self.active else self._scheduler.now
-            lost = event if isinstance(event, Activated | Deactivated) else None
-            self._handle(self.logic.on_lifecycle, event, received=lost)
+            self._handle(self.logic.on_lifecycle, event, received=event)
             self.on_lifecycle(self.name, self.active)
 
         self._when_awake(handle)
