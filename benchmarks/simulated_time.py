@@ -1,6 +1,6 @@
 """Campaign of the whole cell in simulated time, with faults: outcomes, violations, processor time.
 
-The runs are those of ``python -m tapping_cell faults --goals N --seed 1``.
+The runs are those of ``python -m tapping_cell faults --goals N --seed 27``.
 """
 
 from __future__ import annotations
@@ -15,7 +15,9 @@ from tapping_cell.verification.campaign import Summary, reports_of, seeds_of
 
 DEFAULT_COUNT = 2000
 """Number of goals."""
-SEED = 1
+SEED = 27
+"""Seed of the campaign. A new record takes a new seed: an earlier seed's defects are mended, so it
+says less about the rest."""
 GOALS_IN_A_STEP = 500
 """Number of goals after which the results so far are reported."""
 MOST_OUTCOMES = 12
@@ -39,8 +41,8 @@ def lines(report: dict[str, Any]) -> list[str]:
     outcomes = list(report["by_outcome"].items())
     rest = sum(count for _, count in outcomes[MOST_OUTCOMES:])
     return [
-        f"{report['goals']} goals, {report['taps']} taps for them and {report['program_taps']} of"
-        f" another program, {report['releases']} shots",
+        f"seed {report['seed']}: {report['goals']} goals, {report['taps']} taps for them and"
+        f" {report['program_taps']} of another program, {report['releases']} shots",
         f"{sum(faults.values())} faults of {len(faults)} kinds",
         f"{hours:.1f} h of cell time in {wall:.0f} s ({3600 * hours / max(wall, 1e-9):.0f} times"
         f" real time, {report['goals'] / max(wall, 1e-9):.1f} goals a second)",
