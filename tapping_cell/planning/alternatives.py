@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from tapping_cell.mechanics import Polygon, Tap
 from tapping_cell.planning.free_space import PathLengths
-from tapping_cell.planning.gains import Gains, command_of, prediction_of
+from tapping_cell.planning.gains import Gains, command_of, plan_rotation, prediction_of
 from tapping_cell.planning.interface import Array, Planner
 from tapping_cell.planning.visited import VisitedPoses
 from tapping_cell.se2 import wrap_angle
@@ -150,13 +150,14 @@ def candidate_taps(
     share = np.broadcast_to(np.array(TURNS), shape).reshape(flat)
     known, start = number[..., None, :], pose[..., None, :]
     most = settings.cone_slope * size
-    scale = 1.0 / known[..., 1]
-    left = wrap_angle(goal[..., 2] - pose[..., 2])[..., None] * scale
+    left = wrap_angle(goal[..., 2] - pose[..., 2])[..., None] / known[..., 1]
     turn = np.where(share == 1.0, np.clip(left, -most, most), share * most)
     commanded = command_of(known, size, turn, heading, start[..., 2], settings.cone_slope)
     after = start + prediction_of(known, commanded, start[..., 2])
     way = path(after[..., :2])
-    remaining = wrap_angle(goal[..., None, 2] - after[..., 2]) * scale
+    remaining = plan_rotation(
+        wrap_angle(goal[..., None, 2] - after[..., 2]), known[..., 1], settings.stopping.rotation
+    )
     reachable = np.isfinite(way)
     taps = planner.taps_to_go(np.where(reachable, way, 0.0), remaining)
     cost = np.where(reachable, taps + 0.05 * size / settings.largest_distance, np.inf)

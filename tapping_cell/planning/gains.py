@@ -164,18 +164,25 @@ class Gains:
         rotation, direction = self.rotation.deviation(), self.direction.deviation()
         return np.concatenate([distance, rotation[..., :1], direction, rotation[..., 1:]], axis=-1)
 
-    def to_plan(self, remaining: ArrayLike) -> tuple[Array, Array, Array]:
+    def to_plan(self, remaining: ArrayLike, box: float) -> tuple[Array, Array, Array]:
         """Convert residuals (..., 3), dx, dy (m) and rotation (rad), to the input of a planning
-        method.
+        method, whose stopping box has the half width ``box`` (rad).
 
-        Returns the distance (m), the rotation (rad) and the heading (rad). The rotation is divided
-        by its gain, so that the cone of possible taps has its nominal slope. The distance is not
-        scaled, so that the stopping box and the smallest tap keep their size.
+        Returns the distance (m), the rotation (rad, see ``plan_rotation``) and the heading (rad).
+        The distance is not scaled, so that the stopping box and the smallest tap keep their size.
         """
         left = np.asarray(remaining, dtype=float)
-        turn = left[..., 2] / self.value[..., 1]
+        turn = plan_rotation(left[..., 2], self.value[..., 1], box)
         heading = np.arctan2(left[..., 1], left[..., 0])
         return np.hypot(left[..., 0], left[..., 1]), turn, heading
+
+    def from_plan(self, remaining: ArrayLike, turn: ArrayLike, box: float) -> Array:
+        """Convert the rotation ``turn`` (...,) of the taps that a planning method chose for the
+        residuals (..., 3) to the rotation that ``command`` takes, rad."""
+        left, gain = np.asarray(remaining, dtype=float)[..., 2], self.value[..., 1]
+        after = plan_rotation(left, gain, box) - np.asarray(turn, dtype=float)
+        # The inverse gain inverts the conversion.
+        return np.asarray((left - plan_rotation(after, 1.0 / gain, box)) / gain)
 
     def command(
         self,
@@ -188,9 +195,10 @@ class Gains:
         """Compute the displacements (..., 3) to request from the mechanics for the taps of a
         planning method.
 
-        distance, rotation, heading: as returned by ``to_plan``. orientation: orientation of the
-        object before the tap, rad. cone_slope: limit of the commanded rotation per distance, rad/m;
-        it also limits the compensation of the offset.
+        distance: m, negative for a tap opposite to ``heading`` (rad). rotation: rad, as returned by
+        ``from_plan``. orientation: orientation of the object before the tap, rad. cone_slope: limit
+        of the commanded rotation per distance, rad/m; it also limits the compensation of the
+        offset.
         """
         return command_of(self.value, distance, rotation, heading, orientation, cone_slope)
 
@@ -378,6 +386,19 @@ class Gains:
         _replace_main(made.rotation, value[[1, 4, 5]], deviation[[1, 4, 5]])
         _replace_main(made.direction, value[[2, 3]], deviation[[2, 3]])
         return made
+
+
+def plan_rotation(rotation: ArrayLike, gain: ArrayLike, box: float) -> Array:
+    """Convert residual rotations (rad) of objects with these rotation gains to the rotations of a
+    plan whose stopping box has the half width ``box`` (rad).
+
+    A plan is made for a gain of 1. Outside the box, the rotation is divided by the gain, so that
+    the cone of possible taps has its nominal slope. Inside the box, it is not scaled: otherwise the
+    plan would regard an object as turned enough that is not, and would never turn it.
+    """
+    size = np.abs(np.asarray(rotation, dtype=float))
+    inside = np.minimum(size, box)
+    return np.asarray(np.copysign(inside + (size - inside) / gain, rotation))
 
 
 def command_of(

@@ -58,7 +58,8 @@ def near_taps(
         method: planning method that provides the expected number of following taps.
         settings: settings of the method.
     """
-    distance, rotation, heading = (float(number) for number in gains.to_plan(left))
+    box = settings.stopping.rotation
+    distance, rotation, heading = (float(number) for number in gains.to_plan(left, box))
     sizes = _sizes(settings, distance, abs(float(own.distance)))
     most = settings.cone_slope * sizes
     turns = np.unique([0.0, rotation, float(own.rotation), *np.outer(most, SHARES).ravel()])
@@ -70,7 +71,7 @@ def near_taps(
     expected = follow[direction, size, best].ravel()
     commanded = gains.command(
         sizes[size].ravel(),
-        turns[best].ravel(),
+        gains.from_plan(left, turns[best].ravel(), box),
         (heading + DIRECTIONS[direction]).ravel(),
         pose[2],
         settings.cone_slope,

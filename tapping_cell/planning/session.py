@@ -488,13 +488,12 @@ class PositioningSession(GoalSession):
         probe = self._probe(pose, left, missed)
         if probe is not None:
             return probe
-        distance, turn, heading = self.gains.to_plan(left)
+        box, slope = self.planner.settings.stopping.rotation, self.planner.settings.cone_slope
+        distance, turn, heading = self.gains.to_plan(left, box)
         tap = self.planner.choose(distance, turn)
         share = min(1.0, self._longest_tap() / max(abs(float(tap.distance)), 1e-9))
-        slope = self.planner.settings.cone_slope
-        first = self.gains.command(
-            share * tap.distance, share * tap.rotation, heading, pose[2], slope
-        )
+        rotation = self.gains.from_plan(left, share * tap.rotation, box)
+        first = self.gains.command(share * tap.distance, rotation, heading, pose[2], slope)
         detour = self._obstacle(pose, first, missed)
         best = self._best_near(pose, left, tap, missed)
         if best is not None:
@@ -570,8 +569,11 @@ class PositioningSession(GoalSession):
         goal."""
         if not isinstance(self.planner, TapValues) or self._blocked(pose):
             return UNKNOWN_EFFORT
-        distance, rotation, heading = self.gains.to_plan(left)
-        size, turn, direction = self.gains.to_plan(self.gains.predict(commanded, pose[2]))
+        box = self.planner.settings.stopping.rotation
+        moved = self.gains.predict(commanded, pose[2])
+        distance, rotation, heading = self.gains.to_plan(left, box)
+        turn = rotation - self.gains.to_plan(left - moved, box)[1]
+        size, direction = np.hypot(moved[0], moved[1]), np.arctan2(moved[1], moved[0])
         most = self.planner.settings.cone_slope * float(size)
         follow = self.planner.taps_after(
             float(distance),
@@ -753,7 +755,7 @@ class PositioningSession(GoalSession):
         more is needed than the method estimates."""
         after = (pose + self.gains.predict(commanded, pose[2]))[None, :]
         left = self.residual(after[0])
-        distance, turn, _ = self.gains.to_plan(left)
+        distance, turn, _ = self.gains.to_plan(left, self.planner.settings.stopping.rotation)
         cost = np.atleast_1d(self.planner.taps_to_go(distance, turn))
         return bool(self._visited.extra(after, cost)[0] >= 1.0)
 

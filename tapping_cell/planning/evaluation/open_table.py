@@ -58,12 +58,13 @@ def run_open_trials(
         still = taps[running] < evaluation.most_taps
         running, left = running[still], left[still]
         known = gains.of(running)
-        distance, turn, heading = known.to_plan(left)
+        box = evaluation.settings.stopping.rotation
+        distance, turn, heading = known.to_plan(left, box)
         tap = planner.choose(distance, turn)
         orientation = seen[running, 2]
         commanded = known.command(
             tap.distance,
-            tap.rotation,
+            known.from_plan(left, tap.rotation, box),
             heading + aside[running],
             orientation,
             evaluation.settings.cone_slope,

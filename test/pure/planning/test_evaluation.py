@@ -55,6 +55,18 @@ def test_on_random_tasks_optimal_is_below_every_other_method():
         assert figures(name, 4000, settings, **common)["taps"]["mean_interval"][0] > best
 
 
+@pytest.mark.parametrize("planner", ["exact", "conservative", "multi", "optimal"])
+def test_a_wide_tolerance_is_reached_if_the_object_turns_more_or_less_than_its_file_says(planner):
+    """With a tolerance above the smallest tap, an object whose rotation was divided by its gain was
+    tapped to and fro without being turned."""
+    settings = PlannerSettings(
+        camera=CAMERA_NOISE, tolerance_position=0.0024, tolerance_angle=math.radians(2.7)
+    )
+    common = {"gain_bias": (0.0, 0.4), "adapt": True, "random_tasks": (0.04, 0.35)}
+    found = figures(planner, 2000, settings, seed=6, **common)
+    assert found["success_rate"] == 1.0 and found["taps"]["max"] <= 10
+
+
 def test_adaptation_helps_against_bias():
     biased = {"gain_bias": (0.15, 0.15)}
     assert (

@@ -14,13 +14,14 @@ from tapping_cell.planning import (
     keep_gains,
     load_gains,
 )
-from tapping_cell.planning.gains import HIGHEST, LOWEST, NAMES
+from tapping_cell.planning.gains import HIGHEST, LOWEST, NAMES, plan_rotation
 from tapping_cell.planning.kept_gains import gains_file
 
 SCATTER, CAMERA = Scatter(), CameraNoise(1e-4, math.radians(0.1))
 FILE = (1.0, 1.0, 0.0, 0.0, 0.0, 0.0)
 """Gains (corrections of the model) of an object that behaves as its file says, in the order of
 ``NAMES``."""
+BOX = math.radians(1.0)
 
 
 def answer(true, commanded, orientation, rng, scatter=SCATTER, camera=CAMERA):
@@ -167,11 +168,33 @@ def test_command_and_predict_are_inverse(dx, dy, turn, orientation):
     if math.hypot(dx, dy) < 1e-6:
         return
     gains = learn((1.3, 0.8, 0.05, 0.002, 0.5, -0.3), 8)
-    distance, planned, heading = gains.to_plan([dx, dy, turn])
-    commanded = gains.command(distance, planned, heading, orientation)
+    distance, planned, heading = gains.to_plan([dx, dy, turn], BOX)
+    rotation = gains.from_plan([dx, dy, turn], planned, BOX)
+    commanded = gains.command(distance, rotation, heading, orientation)
     assert np.allclose(gains.predict(commanded, orientation), [dx, dy, turn], atol=1e-9)
-    back = gains.command(-distance, planned, heading, orientation)
+    back = gains.command(-distance, rotation, heading, orientation)
     assert np.allclose(gains.predict(back, orientation), [-dx, -dy, turn], atol=1e-9)
+
+
+@given(st.floats(-4.0, 4.0), st.floats(-4.0, 4.0), st.floats(0.1, 10.0), st.floats(0.001, 0.1))
+def test_a_plan_and_the_object_agree_on_which_rotations_are_in_the_box(turn, other, gain, box):
+    planned = float(plan_rotation(turn, gain, box))
+    assert (abs(planned) <= box) == (abs(turn) <= box)
+    assert float(plan_rotation(-turn, gain, box)) == -planned
+    assert float(plan_rotation(planned, 1.0 / gain, box)) == pytest.approx(turn, abs=1e-9)
+    if turn < other:
+        assert planned <= float(plan_rotation(other, gain, box))
+
+
+@given(st.floats(-0.3, 0.3), st.floats(-0.3, 0.3), st.sampled_from([0.6, 1.0, 1.7]))
+def test_after_a_planned_tap_the_plan_sees_the_planned_rotation(turn, planned_turn, gain):
+    gains = learn((1.0, gain, 0.0, 0.0, 0.0, 0.0), 20)
+    left = np.array([0.01, 0.02, turn])
+    _, planned, heading = gains.to_plan(left, BOX)
+    rotation = gains.from_plan(left, planned_turn, BOX)
+    commanded = gains.command(0.05, rotation, heading, 0.3)
+    after = left - gains.predict(commanded, 0.3)
+    assert float(gains.to_plan(after, BOX)[1]) == pytest.approx(float(planned) - planned_turn)
 
 
 def test_no_rotation_beyond_the_cone_is_commanded():

@@ -31,9 +31,11 @@ def states(count, seed=3):
     pose = rng.uniform([-0.1, -0.1, -math.pi], [0.1, 0.1, math.pi], (count, 3))
     goal = pose + rng.uniform([-0.03, -0.03, -0.3], [0.03, 0.03, 0.3], (count, 3))
     gains = Gains.start((count,))
-    distance, turn, heading = gains.to_plan(goal - pose)
+    box = PLANNER.settings.stopping.rotation
+    distance, turn, heading = gains.to_plan(goal - pose, box)
     tap = PLANNER.choose(distance, turn)
-    first = gains.command(tap.distance, tap.rotation, heading, pose[:, 2], TAP.cone_slope)
+    rotation = gains.from_plan(goal - pose, tap.rotation, box)
+    first = gains.command(tap.distance, rotation, heading, pose[:, 2], TAP.cone_slope)
     return pose, goal, first, gains
 
 
