@@ -227,9 +227,10 @@ DEADLINES_S = {
     PlanState.SETTLING: 20.0,
 }
 """Time limits of the planner's waiting states, s."""
-SHARE_OF_TOLERANCES, WIDER = 0.3, (1.0, 3.0)
-"""Fraction of the goals with a tolerance of their own, and its range as a multiple of the cell's
-tolerance."""
+SHARE_OF_TOLERANCES, WIDER = 0.3, (1.0, 1.5, 2.2, 3.0)
+"""Fraction of the goals with a tolerance of their own, and its possible values as multiples of the
+cell's tolerance. A few values, because solving the plan of a further tolerance takes as long as one
+goal."""
 SHARE_OF_REPEATED_GOALS = 0.3
 """Fraction of the failed goals that are requested again, in runs that ask a person."""
 SHARE_OF_DAMAGED_STOPS = 0.2
@@ -645,8 +646,8 @@ class Trial:
         position, angle = self.cell.tolerance
         goal = PositionObject.Goal(goal_pose=message, ask=asks, max_taps=self.tap_limit)
         if self._faulty and self._request_rng.random() < SHARE_OF_TOLERANCES:
-            goal.position_tolerance = position = position * self._request_rng.uniform(*WIDER)
-            goal.angle_tolerance = angle = angle * self._request_rng.uniform(*WIDER)
+            goal.position_tolerance = position = position * float(self._request_rng.choice(WIDER))
+            goal.angle_tolerance = angle = angle * float(self._request_rng.choice(WIDER))
         self.checker.tolerances[index] = position, angle
         if self._faulty and self._request_rng.random() < SHARE_OF_SHORT_LIMITS:
             limit = draw_duration(self._request_rng, *SHORT_LIMIT_S)
