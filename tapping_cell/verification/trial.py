@@ -1394,7 +1394,13 @@ class Trial:
         self.call_service(node, "~/clear_fault")
         if node == "scara_arm":
             self.checker.motion_allowed = True
-            self.scheduler.after(HOME_AFTER_S, partial(self.call_service, node, "~/home"))
+            self.scheduler.after(HOME_AFTER_S, self._home_after_reset)
+
+    def _home_after_reset(self) -> None:
+        if math.isinf(self.checker.held_since):
+            # A crash or an exception after the reset has forbidden motion; the person allows it.
+            self.checker.motion_allowed = True
+        self.call_service("scara_arm", "~/home")
 
     def call_service(self, node: str, service: str) -> None:
         """Call a node's service that has no arguments, as a person does."""
