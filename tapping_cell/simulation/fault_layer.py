@@ -199,6 +199,11 @@ class FaultLayer:
         """Schedule one more fault."""
         self._plan[(fault.direction, fault.byte)] = fault
 
+    @property
+    def awaits_fault(self) -> bool:
+        """Whether a scheduled fault has not occurred yet."""
+        return bool(self._plan)
+
     def forget(self) -> None:
         """Discard the scheduled faults."""
         self._plan.clear()

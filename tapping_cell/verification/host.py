@@ -242,6 +242,11 @@ class Process:
     # Life cycle of the process
 
     @property
+    def lines(self) -> tuple[SerialLine, ...]:
+        """Serial lines of the process's driver."""
+        return self._program.lines
+
+    @property
     def starts(self) -> int:
         """Sum of the number of starts and the number of kills of the process so far."""
         return self._life

@@ -823,6 +823,9 @@ class Trial:
         starts = planner.starts
         began = self.scheduler.now
         active = planner.active
+        # A fault of a line occurs at a certain byte, perhaps during a later goal.
+        lines = (line for each in self.processes.values() for line in each.lines)
+        awaits_fault = any(line.layer.awaits_fault for line in lines)
         self._result = None
         self._goal_began = began
         self._note(f"goal {number}: {goal}")
@@ -852,7 +855,7 @@ class Trial:
         result = self._result
         # A fault of the previous goal may still have an effect during this goal. An inactive
         # planner refuses goals at once, so several goals may end before it is active again.
-        quiet = not (faults or self._struck_before)
+        quiet = not (faults or self._struck_before or awaits_fault)
         self._struck_before = bool(faults)
         quiet = quiet and active and began > self._disturbed_until
         if self._observe(self.scheduler.now) is None:
