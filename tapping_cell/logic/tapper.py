@@ -49,7 +49,8 @@ HOLD_ATTEMPTS = 5
 PROVE_PERIOD_S = 0.5
 """Time between two attempts to verify that the strikers are at their mounts."""
 REFUSED_KEPT = 32
-"""Number of refused commands that are kept, so that copies of them are recognised."""
+"""Number of refused commands and of withdrawals that are kept, so that later copies of the commands
+are recognised."""
 LONGEST_CHARGED_S = 3.0
 """Maximum time from the end of charging until the arm is in position. After this time the striker
 is discharged."""
@@ -234,6 +235,9 @@ class TapperLogic(DeviceLogic[State, Event]):
         """Ids and stamps (ns) of the last commands that were refused while the outcome of another
         tap was not known. A copy that arrives later, perhaps after the withdrawal, is also
         refused."""
+        self._withdrawn: deque[int] = deque(maxlen=REFUSED_KEPT)
+        """Ids of the last taps that were withdrawn but not under way, perhaps because this process
+        was started after their commands. A copy of such a command is refused."""
         self._used: int | None = None
         """Greatest shot number for which the board has charged, including charges before this node
         was started; None until the board has been read."""
@@ -325,6 +329,8 @@ class TapperLogic(DeviceLogic[State, Event]):
             tap = self._tap
             if tap is not None and command.tap_id == tap.tap_id:
                 self._give_up((ErrorCode.NONE, ""))
+            else:
+                self._withdrawn.append(command.tap_id)
             return
         if command.request == TapCommand.CLEAR_VIEW:
             return  # this command is only for the arm
@@ -401,6 +407,12 @@ class TapperLogic(DeviceLogic[State, Event]):
             return (
                 ErrorCode.COMMAND_REPEATED,
                 "this command was refused before; send a new tap with a greater id",
+            )
+        if command.tap_id in self._withdrawn:
+            return (
+                ErrorCode.COMMAND_REPEATED,
+                "this tap was withdrawn before its command arrived; send a new tap with a greater"
+                " id",
             )
         return tap_commands.refusal(command, now, max(self._last_tap_id, self._used or 0))
 

@@ -45,6 +45,11 @@ class CommandChecker:
     inactive."""
     _withdrawn: set[int] = field(default_factory=set)
     """Taps that somebody has withdrawn, or that a deactivation has ended."""
+    _received: set[int] = field(default_factory=set)
+    """Taps whose command the tapper's process has handled since its start."""
+    _withdrawn_first: set[int] = field(default_factory=set)
+    """Taps whose withdrawal the tapper's process has handled since its start, but not their
+    command."""
     _arm_seen: ArmState | None = None
     """Last state of the arm that the tapper's process has handled, and its time."""
     _arm_seen_at: float = 0.0
@@ -73,10 +78,19 @@ class CommandChecker:
             self._taken_while_inactive.discard(tap_id)
         else:
             self._taken_while_inactive.add(tap_id)
+        begun = self._report.tap_id == tap_id and self._report.outcome == TapperState.NONE
+        if begun and tap_id in self._withdrawn_first:
+            self.violate(
+                "took a withdrawn tap",
+                f"the tapper has accepted tap {tap_id}, although it had already been withdrawn",
+            )
+        self._received.add(tap_id)
 
     def on_withdrawal_received(self, tap_id: int) -> None:
         """Process a WITHDRAW that the tapper's process has handled."""
         self._withdrawn.add(tap_id)
+        if tap_id not in self._received:
+            self._withdrawn_first.add(tap_id)
 
     def on_arm_state_received(self, message: ArmState) -> None:
         """Process a state of the arm that the tapper's process has handled."""
@@ -91,6 +105,8 @@ class CommandChecker:
     def on_process_lost(self) -> None:
         """Process the end of the tapper's process."""
         self._arm_seen, self._report, self._expired_at = None, TapperState(), None
+        self._received.clear()
+        self._withdrawn_first.clear()
 
     def on_arm_state(self, message: ArmState) -> None:
         """Process a state that the arm has published."""

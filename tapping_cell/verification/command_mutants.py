@@ -229,6 +229,13 @@ COMMAND_MUTANTS: tuple[Mutant, ...] = (
         kinds=("repeated command", "replay"),
     ),
     Mutant(
+        "takes a tap whose withdrawal arrived before its command",
+        TAPPER,
+        "if command.tap_id in self._withdrawn:",
+        "if False:",
+        kinds=("repeated command", "kill"),
+    ),
+    Mutant(
         "homes by itself in set-up mode",
         ARM,
         "alone = self._options.home_on_activate and not self._options.set_up",

@@ -1374,6 +1374,13 @@ class Trial:
         """Return the boards of the tapper with their lines."""
         return [(self.physical.tapper_board, self.physical.tapper_line)]
 
+    def _note_stop(self, node: str) -> None:
+        """Record that a process has received a stop. A process that is starting sends it to its
+        device as soon as it has opened the port."""
+        process = self.processes.get(node)
+        sent = self.scheduler.now if process is None else process.started_at
+        self.checker.stopped_at.setdefault(node, max(self.scheduler.now, sent))
+
     def call_stop(self, node: str) -> None:
         """Call a node's service ``stop``."""
         process = self.processes[node]
@@ -1381,7 +1388,7 @@ class Trial:
             self.report.by_node[f"stop {node}"] += 1
             self.note_kind(f"stop of {node}")
         if process.alive and self.scheduler.now >= process.frozen_until:
-            self.checker.stopped_at.setdefault(node, self.scheduler.now)
+            self._note_stop(node)
             self._asked_to_clear.pop(node, None)
             if node == "scara_arm":
                 self.checker.forbid_motion()
@@ -1558,7 +1565,7 @@ class Trial:
         of_enabling = topic == "arm_state" and message.error_code == ErrorCode.ENABLING_RELEASED
         if of_enabling and node == "scara_arm" and message.state == ArmState.STOPPED:
             # This stop, too, lasts until a person clears it.
-            self.checker.stopped_at.setdefault(node, self.scheduler.now)
+            self._note_stop(node)
         states = ("arm_state", "tapper_state", "plan_state")
         if topic in states and self._states.get(topic) != message.state:
             self._states[topic] = message.state
@@ -1657,7 +1664,7 @@ class Trial:
         if topic == "emergency_stop":
             self.confirmation.on_level(process, message.data, self.panels.publisher_of(message))
         if topic == "emergency_stop" and message.data:
-            self.checker.stopped_at.setdefault(process, now)
+            self._note_stop(process)
             # A frozen process receives the stop late, and handles a later request after it.
             if self._asked_to_clear.get(process, -math.inf) < self._pressed_at:
                 self._asked_to_clear.pop(process, None)

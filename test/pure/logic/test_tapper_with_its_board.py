@@ -197,6 +197,20 @@ def test_a_copy_of_a_refused_command_is_not_fired_after_its_withdrawal(cell: Cel
     assert cell.shots() == [102]
 
 
+def test_a_tap_is_refused_if_its_withdrawal_arrived_before_its_command(cell: Cell) -> None:
+    """The tapper's process was started after the command of the planner, and before its withdrawal.
+    A copy of the command arrives later."""
+    cell.withdraw(100)
+    cell.command(100)
+    cell.wait(lambda: cell.outcome(100) == TapperState.NOT_FIRED, "refused")
+    assert cell.last.error_code == ErrorCode.COMMAND_REPEATED
+    assert "withdrawn before its command arrived" in cell.last.error_msg
+    cell.keep_publishing(0.5, tap_id=100)
+    assert cell.shots() == []
+    cell.fire(101)
+    assert cell.shots() == [101]
+
+
 def test_a_tap_older_than_one_served_is_refused(cell: Cell) -> None:
     cell.fire(100)
     cell.command(50)
