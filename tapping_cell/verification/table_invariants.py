@@ -27,7 +27,13 @@ from tapping_cell.messages import (
 )
 from tapping_cell.se2 import Pose
 from tapping_cell.simulation.tabletop import TrueContact
-from tapping_cell.verification.invariants import BUMP_M, ENDED, TAPPING, InvariantChecker
+from tapping_cell.verification.invariants import (
+    BUMP_M,
+    ENDED,
+    TAPPING,
+    WAIT_SLACK_S,
+    InvariantChecker,
+)
 from tapping_cell.verification.physical_cell import Release
 from tapping_cell.verification.table_cell import Outline, PhysicalTable, TableRelease, depth
 
@@ -46,6 +52,10 @@ fired for which this object is in the striker's way, s."""
 CLEAR_M = 0.02
 """If the predicted way of a tapped object is farther than this from another object, m, the tap does
 not move the other object."""
+SHIFT_M, SHIFT_RAD = 0.001, 0.01
+"""Change of an object's pose, m and rad, after which the planner may discard a decision."""
+SILENT_S = 1.0
+"""If the planner has not published its state for this time, s, its process was frozen."""
 AXIS_POINTS = 12
 """Number of points on the axis of the tool at which an overlap is checked."""
 
@@ -82,6 +92,8 @@ class Told:
     pose: Pose | None = None
     newest: Pose | None = None
     """Pose received last; ``pose`` differs from it by less than ``BUMP_M``."""
+    settled: Pose | None = None
+    """Pose received at the last change by more than ``SHIFT_M`` or ``SHIFT_RAD``."""
     at_rest: bool = False
     visible: bool = False
 
@@ -129,6 +141,13 @@ class TableInvariantChecker(InvariantChecker):
     """Object of the last tap that the arm has served; empty for the cell's own object."""
     _begun_by_arm: int = 0
     """Id of the last tap that the arm has begun to serve."""
+    _view_changed_at: float = -math.inf
+    """Time at which the planner's process last received that something has changed on the table."""
+    _deciding_since: float = math.inf
+    """Time since which the planner has observed and decided, without tapping; inf while it does
+    not. The time starts again when something changes on the table."""
+    _reported_at: float = -math.inf
+    """Time at which the planner last published its state."""
 
     @property
     def _table(self) -> PhysicalTable:
@@ -179,6 +198,8 @@ class TableInvariantChecker(InvariantChecker):
         told = self.told.setdefault(topic, {}).setdefault(state.object_id, Told())
         exposed = self.exposed(to_nanoseconds(state.header.stamp))
         told.exposed = max(told.exposed, exposed)
+        if (told.at_rest, told.visible) != (state.at_rest, state.visible) or state.error_code:
+            self._view_changed_at = self.scheduler.now
         told.at_rest, told.visible = state.at_rest, state.visible
         if not state.visible:
             if told.newest is not None and self._may_be_covered(told.newest):
@@ -186,6 +207,8 @@ class TableInvariantChecker(InvariantChecker):
             return
         told.seen, told.received = max(told.seen, exposed), self.scheduler.now
         pose = told.newest = from_message(state.pose.pose)
+        if told.settled is None or _is_shifted(told.settled, pose):
+            told.settled, self._view_changed_at = pose, self.scheduler.now
         if told.pose is None or told.pose.distance_to(pose) > BUMP_M:
             told.pose, told.since = pose, self.scheduler.now
         if not state.error_code:
@@ -196,10 +219,15 @@ class TableInvariantChecker(InvariantChecker):
         received. The planner must withdraw its tap if a further one was found."""
         stamp = to_nanoseconds(message.unknown_searched_at)
         self._searched = self.exposed(stamp)
-        self._unknown = tuple(
-            tuple((point.x, point.y) for point in outline.points)
-            for outline in message.unknown_objects
+        before, self._unknown = (
+            self._unknown,
+            tuple(
+                tuple((point.x, point.y) for point in outline.points)
+                for outline in message.unknown_objects
+            ),
         )
+        if self._unknown != before:
+            self._view_changed_at = self.scheduler.now
         known = self._planned_with.get(self._tap)
         found = known is not None and any(outline not in known for outline in self._unknown)
         if found and self._waiting[0] in TAPPING:
@@ -487,6 +515,28 @@ class TableInvariantChecker(InvariantChecker):
             name = message.object_id
         with self.regarding(name):
             super(TableInvariantChecker, self)._on_plan_state(message)
+        self._check_decisions(message)
+
+    def _check_decisions(self, message: PlanState) -> None:
+        """Check that the planner of a cell in which nothing changes does not discard its decisions
+        again and again, each time with a new time limit."""
+        now = self.scheduler.now
+        interrupted, self._reported_at = now - self._reported_at > SILENT_S, now
+        if message.state not in (PlanState.LOOKING, PlanState.PLANNING):
+            self._deciding_since = math.inf
+            return
+        if interrupted or self._deciding_since == math.inf:
+            self._deciding_since = now
+        self._deciding_since = max(self._deciding_since, self._view_changed_at)
+        limit = self.deadlines[PlanState.LOOKING] + WAIT_SLACK_S
+        without = now - self._deciding_since
+        if without > limit:
+            self.violate(
+                "no decision",
+                f"the planner has observed and decided for {without:.1f} s (limit {limit:g} s)"
+                " without a result, although nothing has changed on the table",
+            )
+            self._deciding_since = now
 
     def check_result(
         self,
@@ -552,3 +602,7 @@ def _distance(point: Pose, start: Pose, end: Pose) -> float:
         along = ((point.x - start.x) * dx + (point.y - start.y) * dy) / length
     share = min(1.0, max(0.0, along))
     return point.distance_to(Pose(start.x + share * dx, start.y + share * dy, 0.0))
+
+
+def _is_shifted(before: Pose, after: Pose) -> bool:
+    return before.distance_to(after) > SHIFT_M or abs(before.rotation_to(after)) > SHIFT_RAD

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import pytest
 
+from tapping_cell.logic.arrangement import ArrangementTask
 from tapping_cell.logic.poses import from_message
 from tapping_cell.messages import ArrangeObjects, ErrorCode, ObjectProgress, PlanState
 from tapping_cell.se2 import Pose
@@ -103,6 +104,28 @@ def test_the_invariants_detect_violations() -> None:
     checker._check_others_of_tap("object_states", other, good.poses[other])
     trial.scheduler.run(trial.scheduler.now + 0.2)
     assert "tap not withdrawn" in names()
+
+
+@pytest.mark.parametrize("avoids", [True, False])
+def test_a_planner_that_discards_every_decision_is_detected(
+    monkeypatch: pytest.MonkeyPatch, avoids: bool
+) -> None:
+    """A person lays an unknown object aside during every goal. If the planner does not take it into
+    account, every decision about several objects is out of date."""
+    monkeypatch.setattr("tapping_cell.verification.trial.SHARE_OF_SHORT_LIMITS", 0.0)
+    if not avoids:
+        monkeypatch.setattr(ArrangementTask, "avoid", lambda self, obstacles: None)
+    trial = TableTrial(1, faults=False)
+    choose, aside = trial.next_goal, ((0.18, 0.11), (0.19, 0.11), (0.185, 0.12))
+
+    def next_goal(number: int) -> Pose:
+        trial.scheduler.after(0.05, lambda: setattr(trial.physical, "unknown", (aside,)))
+        return choose(number)
+
+    monkeypatch.setattr(trial, "next_goal", next_goal)
+    report = trial.run(6)
+    found = {violation.name for violation in report.violations}
+    assert found == set() if avoids else "no decision" in found
 
 
 def test_an_arrangement_must_be_where_it_says() -> None:
