@@ -30,7 +30,7 @@ from tapping_cell.verification.board_invariants import BoardChecker
 from tapping_cell.verification.command_invariants import CommandChecker
 from tapping_cell.verification.confirmation_invariants import ConfirmationChecker
 from tapping_cell.verification.host import HostClock
-from tapping_cell.verification.peer_invariants import PeerChecker
+from tapping_cell.verification.peer_invariants import CAMERA, PeerChecker
 from tapping_cell.verification.physical_cell import PhysicalCell, Release
 from tapping_cell.verification.scheduler import Scheduler
 from tapping_cell.verification.set_up_invariants import SetUpChecker
@@ -574,9 +574,7 @@ class InvariantChecker:
     def on_stamp_received(self, topic: str, stamp: Time) -> None:
         """Process the stamp of a message that the tapper's process received."""
         ahead = to_seconds(stamp) - 1e-9 * self.tapper_clock.now().ros
-        if topic != "object_state":
-            # The camera's clock is also known from other topics.
-            self.peer_checker.on_stamp_received(topic, stamp)
+        self.peer_checker.on_stamp_received(CAMERA if topic == "object_state" else topic, stamp)
         if ahead > SKEW_LIMIT_S + ROUNDING_S:
             self.future_received[topic] = self.scheduler.now, self.tapper_clock.offset
 

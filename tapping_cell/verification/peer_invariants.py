@@ -12,6 +12,8 @@ from tapping_cell.messages import Time
 from tapping_cell.verification.host import HostClock
 from tapping_cell.verification.scheduler import Scheduler
 
+CAMERA = "the camera's topics"
+"""All topics from which the tapper estimates the clock of the camera's computer."""
 KNOWN_S = 10.0
 """Time for which the tapper uses the delay of a message to estimate another computer's clock, s."""
 MARGIN_S = 0.6
@@ -35,8 +37,9 @@ class PeerChecker:
     tapper_clock: HostClock
     camera_clock: HostClock
     _behind: dict[str, deque[tuple[float, float, float]]] = field(default_factory=dict)
-    """For each topic, the messages of the last ``KNOWN_S``: time of receipt, time by which the
-    stamp was behind the tapper's clock, and offset of this clock."""
+    """For each topic, and for all topics of the camera together, the messages of the last
+    ``KNOWN_S``: time of receipt, time by which the stamp was behind the tapper's clock, and offset
+    of this clock."""
     _newest: float = math.inf
     """Exposure of the newest usable image that the tapper's process has received; inf: none."""
     _delays: deque[tuple[float, float, float]] = field(default_factory=deque)
@@ -44,7 +47,10 @@ class PeerChecker:
     offset of the camera's clock."""
 
     def on_stamp_received(self, topic: str, stamp: Time) -> None:
-        """Process the stamp of a message that the tapper's process has handled."""
+        """Process the stamp of a message that the tapper's process has handled. ``topic``: its
+        topic, or ``CAMERA``. A stamp of zero belongs to an object that was never measured."""
+        if not (stamp.sec or stamp.nanosec):
+            return
         now = self.scheduler.now
         behind = 1e-9 * self.tapper_clock.now().ros - to_seconds(stamp)
         known = self._behind.setdefault(topic, deque())

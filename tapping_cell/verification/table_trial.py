@@ -26,11 +26,12 @@ from tapping_cell.se2 import Pose
 from tapping_cell.simulation.truth import TruthFile
 from tapping_cell.verification.causes import AT_ONCE_S
 from tapping_cell.verification.faults import ALL, MOMENTS, Mix, moment_name
+from tapping_cell.verification.peer_invariants import CAMERA
 from tapping_cell.verification.table_camera import TableCamera
 from tapping_cell.verification.table_cell import HALF_LENGTH_M, HALF_WIDTH_M, PhysicalTable
 from tapping_cell.verification.table_faults import TABLE_AT_A_SHOT, TABLE_CAUSES, TABLE_MAKERS
 from tapping_cell.verification.table_invariants import Asked, TableInvariantChecker
-from tapping_cell.verification.trial import CAMERA_SIGMA, Trial
+from tapping_cell.verification.trial import BLIND, CAMERA_SIGMA, Trial
 
 SHARE_OF_TABLES = 0.1
 """Fraction of the runs that have several objects."""
@@ -304,6 +305,9 @@ class TableTrial(Trial):
         if (process, topic) == ("scara_arm", "tap_command") and message.request == TapCommand.TAP:
             self.checker.on_tap_received_by_arm(message)
         if process == "tapper_trigger" and topic == "object_states":
+            for state in message.objects:
+                if state.error_code not in BLIND:
+                    self.checker.peer_checker.on_stamp_received(CAMERA, state.header.stamp)
             for state in message.objects[1:]:
                 self.checker.on_state_received_by_tapper(state)
         if process != "tap_planner":
