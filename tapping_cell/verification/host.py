@@ -121,6 +121,10 @@ class HostClock:
         return Now(passed + self.steady_offset, round(ros * 1e9))
 
 
+class UnhandledDefectError(Exception):
+    """A state machine raised while it handled an internal error; the ROS host would end."""
+
+
 @dataclass(slots=True)
 class Disk:
     """Data that a process has stored on disk and that remain when the process ends."""
@@ -440,7 +444,11 @@ class Process:
             effects = self._call(call, *arguments, self._clock.now())
         except Exception as error:  # a defect: handle it as the ROS host does
             self._raised(error, self.name)
-            self._carry_out(self.logic.on_defect(error, self._clock.now(), received))
+            try:
+                effects = self.logic.on_defect(error, self._clock.now(), received)
+            except Exception as second:
+                raise UnhandledDefectError(f"{self.name}: {second!r} after {error!r}") from second
+            self._carry_out(effects)
             self.on_caught(self.name)
             return
         self._carry_out(effects)

@@ -91,7 +91,13 @@ from tapping_cell.verification.faults import (
     moment_name,
 )
 from tapping_cell.verification.further_panels import FurtherPanels, PanelPress
-from tapping_cell.verification.host import HostClock, Process, Program, copy_of
+from tapping_cell.verification.host import (
+    HostClock,
+    Process,
+    Program,
+    UnhandledDefectError,
+    copy_of,
+)
 from tapping_cell.verification.invalid_commands import draw_wrong_field
 from tapping_cell.verification.invariants import TAPPING, InvariantChecker, Violation
 from tapping_cell.verification.network import Network, Quality
@@ -758,6 +764,8 @@ class Trial:
                     break
         except HangError as hang:
             self.checker.violate("hang", str(hang))
+        except UnhandledDefectError as unhandled:
+            self.checker.violate("unhandled defect", str(unhandled))
         except Exception as error:  # one run must not end a campaign
             self._note(traceback.format_exc())
             self.checker.violate(SIMULATOR_DEFECT, f"{type(error).__name__}: {error}")

@@ -5,9 +5,12 @@ from __future__ import annotations
 
 import math
 import random
+from typing import NoReturn
 
 import pytest
 
+from tapping_cell.logic.arm import ArmLogic
+from tapping_cell.logic.transitions import UndefinedTransition
 from tapping_cell.verification.campaign import run_trial
 from tapping_cell.verification.scheduler import Fiber, HangError, Killed, Scheduler
 from tapping_cell.verification.trial import Trial
@@ -97,6 +100,25 @@ def test_an_error_of_the_simulator_is_a_violation_of_its_run(
     assert violation.name == "simulator defect"
     assert violation.sentence == "ZeroDivisionError: goal 0"
     assert "Traceback" in report.trace[-1]
+
+
+def test_a_state_machine_that_raises_while_it_handles_an_error_is_detected(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The ROS host would end after the second exception."""
+
+    def fail(*_: object) -> NoReturn:
+        raise ValueError("wrong")
+
+    def fail_again(*_: object) -> NoReturn:
+        raise UndefinedTransition("no way out")
+
+    trial = Trial(5, faults=False)
+    monkeypatch.setattr(ArmLogic, "on_defect", fail_again)
+    trial.scheduler.after(5.0, lambda: monkeypatch.setattr(ArmLogic, "on_tick", fail))
+    report = trial.run(3)
+    assert [violation.name for violation in report.violations] == ["unhandled defect"]
+    assert "no way out" in report.violations[0].sentence
 
 
 @pytest.mark.parametrize("speed", [0.0, -1.0, 1000.0, math.nan, math.inf])
