@@ -117,8 +117,10 @@ def test_a_state_machine_that_raises_while_it_handles_an_error_is_detected(
     monkeypatch.setattr(ArmLogic, "on_defect", fail_again)
     trial.scheduler.after(5.0, lambda: monkeypatch.setattr(ArmLogic, "on_tick", fail))
     report = trial.run(3)
-    assert [violation.name for violation in report.violations] == ["unhandled defect"]
-    assert "no way out" in report.violations[0].sentence
+    unhandled, first = report.violations
+    assert (unhandled.name, first.name) == ("unhandled defect", "defect")
+    assert "no way out" in unhandled.sentence
+    assert "ValueError" in first.sentence
 
 
 @pytest.mark.parametrize("speed", [0.0, -1.0, 1000.0, math.nan, math.inf])
