@@ -1055,6 +1055,8 @@ def _exception_in(node: str, rng: np.random.Generator, trial: FaultTarget) -> Ma
 def _exception_in_request(node: str, rng: np.random.Generator, trial: FaultTarget) -> Made:
     lines, resets = round(draw_duration(rng, 1.0, 100.0)), bool(rng.random() < 0.5)
     if node == "tap_planner":
+        # The record of the tap that the request ends takes 70 lines, and the report more.
+        lines = round(rng.uniform(1.0, 200.0)) if resets else lines
         return _cancel_by_service(rng, trial, lines)
 
     def strike(t: FaultTarget) -> None:
