@@ -1328,9 +1328,8 @@ class Trial:
             # The stop has been released since then, so these calls are valid.
             for node in self.devices:
                 self._clear_stop(node)
-            self.checker.motion_allowed = True
         if "scara_arm" in self.devices:
-            self.call_service("scara_arm", "~/home")
+            self._request_homing()
 
     def interrupt_tapper_power(self) -> None:
         """Interrupt the power of the tapper's board, so that the board also loses its latched
@@ -1412,11 +1411,13 @@ class Trial:
         self.call_service(node, "~/clear_fault")
         if node == "scara_arm":
             self.checker.motion_allowed = True
-            self.scheduler.after(HOME_AFTER_S, self._home_after_reset)
+            self.scheduler.after(HOME_AFTER_S, self._request_homing)
 
-    def _home_after_reset(self) -> None:
-        if math.isinf(self.checker.held_since):
-            # A crash or an exception after the reset has forbidden motion; the person allows it.
+    def _request_homing(self) -> None:
+        """Request homing, as a person does who does not look whether an emergency stop is held.
+        The request allows motion, unless the arm's process has received such a stop: a stop that
+        is still on its way can have no effect yet."""
+        if math.isinf(self.checker.held_since) or "scara_arm" not in self.checker.stopped_at:
             self.checker.motion_allowed = True
         self.call_service("scara_arm", "~/home")
 
