@@ -219,15 +219,12 @@ class TableInvariantChecker(InvariantChecker):
         received. The planner must withdraw its tap if a further one was found."""
         stamp = to_nanoseconds(message.unknown_searched_at)
         self._searched = self.exposed(stamp)
-        before, self._unknown = (
-            self._unknown,
-            tuple(
-                tuple((point.x, point.y) for point in outline.points)
-                for outline in message.unknown_objects
-            ),
+        outlines = tuple(
+            tuple((point.x, point.y) for point in outline.points)
+            for outline in message.unknown_objects
         )
-        if self._unknown != before:
-            self._view_changed_at = self.scheduler.now
+        if outlines != self._unknown:
+            self._unknown, self._view_changed_at = outlines, self.scheduler.now
         known = self._planned_with.get(self._tap)
         found = known is not None and any(outline not in known for outline in self._unknown)
         if found and self._waiting[0] in TAPPING:
