@@ -67,6 +67,9 @@ planner commands the tap."""
 BUMP_M = 0.004
 BUMP_RAD = math.radians(6.0)
 """Displacements of the object (m and rad) beyond which a planned tap must not be fired."""
+LONGEST_WAY = 1.3
+"""Multiple of the predicted displacement of a tapped object up to which the withdrawn arm must not
+hide it."""
 REPORTED_S = 0.5
 """Maximum time from when a device has latched a stop until it reports that it is stopped, s."""
 CHARGED_LIMIT_S = 12.0
@@ -1047,13 +1050,23 @@ class InvariantChecker:
         now, moved = self.scheduler.now, self.moved_by_hand
         # The arm leaves the view of the object that was tapped, wherever a hand has moved it since.
         elsewhere = moved is not None and moved[0] > self._placed_tap_seen_at
-        if message.clear_of_camera and not before and not elsewhere:
+        if message.clear_of_camera and not before and not elsewhere and not self._is_overshot():
             if self.physical.moving(now):
                 self.violate("false view", "the arm is reported clear of the camera while it moves")
             elif self.physical.view(now) is None:
                 self.violate(
                     "false view", "the arm is reported clear of the camera but hides the object"
                 )
+
+    def _is_overshot(self) -> bool:
+        """Return whether the tapped object has moved farther than the arm assumes. For example, the
+        planner has learnt a gain from a shot without full energy, and has then tapped too hard."""
+        command = self.commands.get(self._placed_tap)
+        if command is None:
+            return False
+        start, predicted = from_message(command.object_pose), from_message(command.predicted_pose)
+        way = start.distance_to(self.physical.object_pose(self.scheduler.now))
+        return way > LONGEST_WAY * start.distance_to(predicted) + BUMP_M
 
     def ask_to_move(self) -> None:
         """Allow the arm to move until it is idle again, because it has received a command."""

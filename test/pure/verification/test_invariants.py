@@ -10,6 +10,7 @@ from collections.abc import Callable
 
 import pytest
 
+from tapping_cell.logic.poses import to_message
 from tapping_cell.messages import ArmState, TapCommand
 from tapping_cell.se2 import Pose
 from tapping_cell.verification.trial import Trial
@@ -97,7 +98,9 @@ def test_a_refused_command_does_not_hide_that_a_hand_moved_the_object(
     for process in trial.processes.values():
         process.kill()
     monkeypatch.setattr(trial.physical, "view", lambda time: None)
-    checker.on_publish("program", "tap_command", TapCommand(tap_id=7))
+    place = to_message(trial.physical.object_pose(now))
+    command = TapCommand(tap_id=7, object_pose=place, predicted_pose=place)
+    checker.on_publish("program", "tap_command", command)
     checker.on_publish("scara_arm", "arm_state", ArmState(state=ArmState.MOVING, tap_id=7))
     trial.scheduler.run(now + 1.0)
     checker.moved_by_hand = trial.scheduler.now, Pose(0.0, 0.0, 0.0)
@@ -109,6 +112,28 @@ def test_a_refused_command_does_not_hide_that_a_hand_moved_the_object(
     checker.on_publish("scara_arm", "arm_state", ArmState())
     checker.on_publish("scara_arm", "arm_state", ArmState(clear_of_camera=True))
     assert {violation.name for violation in checker.violations} == {"false view"}
+
+
+@pytest.mark.parametrize(("share", "names"), [(1.0, {"false view"}), (2.0, set())])
+def test_an_arm_may_hide_an_object_that_moved_much_farther_than_predicted(
+    trial: Trial, monkeypatch: pytest.MonkeyPatch, share: float, names: set[str]
+) -> None:
+    """The planner may have learnt a gain from a shot without full energy (run 35000496). The object
+    has moved by ``share`` times the predicted displacement of 20 mm."""
+    checker, now = trial.checker, trial.scheduler.now
+    for process in trial.processes.values():
+        process.kill()
+    monkeypatch.setattr(trial.physical, "view", lambda time: None)
+    place = trial.physical.object_pose(now)
+    start = Pose(place.x - 0.02 * share, place.y, place.theta)
+    predicted = Pose(start.x + 0.02, start.y, start.theta)
+    command = TapCommand(
+        tap_id=7, object_pose=to_message(start), predicted_pose=to_message(predicted)
+    )
+    checker.on_publish("program", "tap_command", command)
+    checker.on_publish("scara_arm", "arm_state", ArmState(state=ArmState.MOVING, tap_id=7))
+    checker.on_publish("scara_arm", "arm_state", ArmState(clear_of_camera=True))
+    assert {violation.name for violation in checker.violations} == names
 
 
 def test_a_refused_expired_command_without_an_id_is_no_violation(trial: Trial) -> None:
