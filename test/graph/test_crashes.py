@@ -52,11 +52,14 @@ def test_no_tap_is_fired_on_messages_of_a_frozen_planner_or_camera(
 ) -> None:
     draw = random.Random(SEED)
     frozen = strikes = goals = 0
-    while frozen < FREEZES:
+    # The freezes may prevent every tap. Then goals with one freeze each follow until a strike was
+    # checked.
+    while frozen < FREEZES or not strikes:
         goals += 1
+        enough = max(FREEZES, frozen + 1)
         phase = draw.choice(PHASES[1:4])
         assert cell.begin(phase), f"the goal never came to be {phase}; {cell.ended()}"
-        while cell.ended() is None and frozen < FREEZES:
+        while cell.ended() is None and frozen < enough:
             time.sleep(draw.uniform(0.0, 0.1))
             cell.freeze(node, draw.uniform(0.05, 2.0))
             frozen += 1
@@ -68,7 +71,6 @@ def test_no_tap_is_fired_on_messages_of_a_frozen_planner_or_camera(
         assert crash.ended != "hung", crash
         assert not crash.unsafe, crash
     print(f"{frozen} freezes of {node} (seed {SEED}): {goals} goals, {strikes} strikes")
-    assert strikes
 
 
 @pytest.mark.parametrize(
