@@ -1050,10 +1050,10 @@ class InvariantChecker:
         now, moved = self.scheduler.now, self.moved_by_hand
         # The arm leaves the view of the object that was tapped, wherever a hand has moved it since.
         elsewhere = moved is not None and moved[0] > self._placed_tap_seen_at
-        if message.clear_of_camera and not before and not elsewhere and not self._is_overshot():
+        if message.clear_of_camera and not before and not elsewhere:
             if self.physical.moving(now):
                 self.violate("false view", "the arm is reported clear of the camera while it moves")
-            elif self.physical.view(now) is None:
+            elif self.physical.view(now) is None and not self._is_overshot():
                 self.violate(
                     "false view", "the arm is reported clear of the camera but hides the object"
                 )
