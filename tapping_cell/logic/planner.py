@@ -272,6 +272,8 @@ class PlannerLogic:
         self._resume_until = -math.inf
         self._recalled_at = -math.inf
         """Time at which the goal of the planner that crashed was loaded."""
+        self._recalled_stops: Mapping[str, Sequence[int]] = {}
+        """Stops that the planner that crashed knew (see ``CellMonitor.known_stops``)."""
         self._is_resumed = False
         """Whether the present goal is that of a planner that crashed."""
         self._stop_reported: CodedError | None = None
@@ -620,7 +622,13 @@ class PlannerLogic:
         kept = event.kept_goal
         assert kept is not None
         self._effects.append(KeepGoal(None))
-        if not 0 <= event.kept_goal_age <= self._settings.resume_within:
+        if event.kept_goal_age < 0:
+            self._log(
+                LogLevel.WARNING,
+                "the goal saved before the planner's crash is not resumed: this computer's clock "
+                f"was set back since, by more than {-event.kept_goal_age:.1f} s, so the age of the "
+                "goal is unknown; send the goal again",
+            )
             return
         try:
             message = PoseStamped(pose=to_message(Pose(*map(float, kept["goal"]))))
@@ -643,7 +651,6 @@ class PlannerLogic:
                 "the goal saved before the planner's crash cannot be read; send the goal again",
             )
             return
-        self._stop_reported = self._stop_reported or self._monitor.recall_stops(stops)
         message.header.frame_id = "table"
         self._resumed = Request(
             message,
@@ -657,14 +664,21 @@ class PlannerLogic:
             earlier_taps=taps,
         )
         self._ask_resumed = ask_always
-        self._recalled_at = now.steady
+        self._recalled_at, self._recalled_stops = now.steady, stops
         self._resume_until = now.steady + self._settings.resume_within - event.kept_goal_age
 
     def _resume(self, request: Request, now: Now) -> None:
         """Resume the goal of a planner that crashed. If a stop or a fault has been reported since
         the start of this planner, end the goal, as the planner that crashed would have done."""
-        if now.steady > self._resume_until:
-            return  # the node was activated late
+        within = self._settings.resume_within
+        late = now.steady - self._resume_until
+        if late > 0:
+            self._log(
+                LogLevel.WARNING,
+                f"the goal of a planner that crashed is not resumed: {within + late:.1f} s have "
+                f"passed since the crash (resume_within is {within:g} s); send the goal again",
+            )
+            return
         left = request.time_limit - (now.steady - self._recalled_at)
         request = replace(request, time_limit=max(left, 1.0))
         task = self._accepted(lambda: self.goals.accept(request, now))
@@ -672,6 +686,8 @@ class PlannerLogic:
             self._refuse(task, request, now)
             return
         task.earlier_taps = request.earlier_taps
+        stop = self._monitor.recall_stops(self._recalled_stops)
+        self._stop_reported = self._stop_reported or stop
         self._log(LogLevel.WARNING, "resuming the goal of a planner that crashed")
         self._begin(task, now, resumed=True)
         self._withdraw_orphan(now)

@@ -318,13 +318,6 @@ COMMAND_MUTANTS: tuple[Mutant, ...] = (
         kinds=("deactivate",),
     ),
     Mutant(
-        "resumes a goal however late it is activated",
-        PLANNER,
-        "        if now.steady > self._resume_until:\n            return",
-        "        if False:\n            return",
-        kinds=("kill",),
-    ),
-    Mutant(
         "executes an outdated goal",
         GOALS,
         "if stamp > 0 and not -FARTHEST_AHEAD_S <= age <= OLDEST_S:",

@@ -57,6 +57,9 @@ shot takes, and the range of the duration, s."""
 SHARE_OF_LATE_ACTIVATIONS, LATE_ACTIVATION_S = 0.2, (5.0, 60.0)
 """Fraction of the planners that crash and are activated late, and the range of the time from their
 start to their activation, s."""
+SHARE_OF_WRONG_CLOCKS, PLANNER_AWAY_S = 0.2, (15.0, 28.0)
+"""Fraction of the planners that crash while their computer's clock is set back, and the range of
+the time until these planners are started again, s."""
 SHARE_OF_LOST_COMPUTERS, CAMERA_AWAY_S = 0.2, (15.0, 40.0)
 """Fraction of the tappers that are killed together with the camera, and the range of the time until
 the camera is started again, s."""
@@ -250,6 +253,8 @@ def _kill(rng: np.random.Generator, trial: FaultTarget) -> Made:
     description = f"{node} killed, restarted after {away:.1f} s"
     late = float(rng.uniform(*LATE_ACTIVATION_S))
     is_late = node == "tap_planner" and rng.random() < SHARE_OF_LATE_ACTIVATIONS
+    if node == "tap_planner" and not is_late and rng.random() < SHARE_OF_WRONG_CLOCKS:
+        return _kill_and_set_clock_back(rng)
     camera_away = float(rng.uniform(*CAMERA_AWAY_S))
     with_camera = node == "tapper_trigger" and rng.random() < SHARE_OF_LOST_COMPUTERS
 
@@ -268,6 +273,23 @@ def _kill(rng: np.random.Generator, trial: FaultTarget) -> Made:
     if with_camera:
         description += f"; the camera is killed, too, and restarted after {camera_away:.1f} s"
     return strike, description
+
+
+def _kill_and_set_clock_back(rng: np.random.Generator) -> Made:
+    """The planner crashes, and its computer's clock is set back while the planner is down, so that
+    the stored goal seems younger than it is, or seems to come from the future."""
+    away = float(rng.uniform(*PLANNER_AWAY_S))
+    before, step = float(rng.uniform(0.0, away)), draw_duration(rng, 1.0, 3600.0)
+    lasting = away - before + draw_duration(rng, 1.0, 15.0)
+
+    def strike(t: FaultTarget) -> None:
+        t.kill("tap_planner", away)
+        t.scheduler.after(before, lambda: _step_clock(t, "tap_planner", -step, lasting))
+
+    return strike, (
+        f"tap_planner killed, restarted after {away:.1f} s; the clock of its computer stepped by"
+        f" {-step:.2f} s {before:.1f} s after the crash, and back {lasting:.1f} s later"
+    )
 
 
 def _restart(rng: np.random.Generator, trial: FaultTarget) -> Made:
@@ -704,22 +726,24 @@ def _clock_step(rng: np.random.Generator, trial: FaultTarget) -> Made:
 
     lasting = draw_duration(rng, 0.1, 30.0)
 
-    def strike(t: FaultTarget) -> None:
-        t.clocks[node].offset += step
-        # A node estimates the clock of another node from the messages of the last ``WINDOW_S``.
-        # After the clock was set back, the estimate therefore remains wrong for this time.
-        t.note_disturbance(lasting + WINDOW_S)
-        t.scheduler.after(lasting, back(t))
-
-    def back(t: FaultTarget) -> Callable[[], None]:
-        def set_back() -> None:
-            t.clocks[node].offset -= step
-
-        return set_back
-
-    return strike, (
+    return lambda t: _step_clock(t, node, step, lasting), (
         f"the clock of {node}'s computer stepped by {step:.2f} s, and back after {lasting:.1f} s"
     )
+
+
+def _step_clock(trial: FaultTarget, node: str, step: float, lasting: float) -> None:
+    """Set the clock of a node's computer forward by ``step`` s, and back after ``lasting`` s."""
+    clock = trial.clocks[node]
+
+    def set_back() -> None:
+        clock.offset -= step
+
+    clock.offset += step
+    trial.note_kind("clock step")
+    # A node estimates the clock of another node from the messages of the last ``WINDOW_S``. After
+    # the clock was set back, the estimate therefore remains wrong for this time.
+    trial.note_disturbance(lasting + WINDOW_S)
+    trial.scheduler.after(lasting, set_back)
 
 
 def _line(rng: np.random.Generator, trial: FaultTarget) -> Made:

@@ -130,7 +130,8 @@ class Disk:
     """Data that a process has stored on disk and that remain when the process ends."""
 
     goal: Content | None = None
-    goal_touched: float = -math.inf
+    goal_touched: tuple[float, int] = (0.0, 0)
+    """Time of the last change or touch of the stored goal, s, and the computer's time then, ns."""
     stop: Content | None = None
     full: bool = False
 
@@ -188,6 +189,9 @@ class Process:
         self.freeze_after_check: float = 0.0
         """Duration of a freeze after the running job has next asked the state machine, s; 0: no
         freeze."""
+        self.hidden_age = 0.0
+        """Time by which the goal that was stored at the last configuration was older than the clock
+        of the computer showed, s; 0 if this clock showed a negative age."""
         self.activation_delay: float = 0.0
         """Time from the next configuration of the node to its activation, s."""
         self.on_handled: Callable[[str, str, Any], None] = lambda process, topic, message: None
@@ -550,9 +554,9 @@ class Process:
             self._scheduler.after(0.3, lambda: self._report_stops(effect.token, life))
         elif isinstance(effect, KeepGoal):
             self.disk.goal = None if self.disk.full else effect.content
-            self.disk.goal_touched = self._scheduler.now
+            self.disk.goal_touched = self._scheduler.now, self._clock.now().ros
         elif isinstance(effect, TouchGoal):
-            self.disk.goal_touched = self._scheduler.now
+            self.disk.goal_touched = self._scheduler.now, self._clock.now().ros
         elif isinstance(effect, KeepStop):
             if effect.content is None:
                 self._stop_publishers.clear()
@@ -586,7 +590,9 @@ class Process:
         if life != self._life:
             return
         self._connected = self._driver is not None
-        age = self._scheduler.now - self.disk.goal_touched
+        touched, stamp = self.disk.goal_touched
+        age = 1e-9 * (self._clock.now().ros - stamp)
+        self.hidden_age = self._scheduler.now - touched - age if age >= 0 else 0.0
         event = Configured(self._program.cell, connected, self.disk.goal, age)
 
         def handle() -> None:

@@ -190,6 +190,9 @@ class InvariantChecker:
     """Whether a person has allowed motion since the last crash, stop or loss of power."""
     commanded_until: float = -math.inf
     """Time by which the arm's line has delivered all commands sent before motion was forbidden."""
+    hidden_age: float = 0.0
+    """Time by which the goal that the planner recalled was older than the clock of its computer
+    showed, s."""
     hidden_since: float = math.inf
     moved_by_hand: tuple[float, Pose] | None = None
     """Time at which the object was last moved by hand, and the object's pose before this motion."""
@@ -1295,11 +1298,12 @@ class InvariantChecker:
                 self.violate(
                     "goal begun again", "the planner began a goal again that had already ended"
                 )
-            elif self.scheduler.now > crashed[1] + RESUMED_S:
+            elif self.scheduler.now > crashed[1] + RESUMED_S + self.hidden_age:
                 self.violate(
                     "old goal resumed",
                     f"the planner resumed a goal {self.scheduler.now - crashed[1]:.1f} s after its"
-                    f" crash (limit {RESUMED_S:g} s)",
+                    f" crash (limit {RESUMED_S:g} s; the computer's clock hid {self.hidden_age:.1f}"
+                    " s)",
                 )
         if self._crashed is None or self._crashed[0] != self._goal:
             self._taps.pop(self._goal, None)  # a goal message that was delivered twice

@@ -655,8 +655,15 @@ MUTANTS: tuple[Mutant, ...] = (
     Mutant(
         "resumes a goal of any age",
         "tapping_cell.logic.planner",
-        "if not 0 <= event.kept_goal_age <= self._settings.resume_within:",
-        "if False:",
+        "        if late > 0:\n",
+        "        if False:\n",
+        kinds=("kill",),
+    ),
+    Mutant(
+        "resumes a goal although the clock was set back",
+        "tapping_cell.logic.planner",
+        "        if event.kept_goal_age < 0:\n",
+        "        if False:\n",
         kinds=("kill",),
     ),
     Mutant(
@@ -784,8 +791,8 @@ MUTANTS: tuple[Mutant, ...] = (
     Mutant(
         "resumes a goal although the cell was stopped while no planner ran",
         "tapping_cell.logic.planner",
-        "        self._stop_reported = self._stop_reported or self._monitor.recall_stops(stops)\n",
-        "",
+        "        stop = self._monitor.recall_stops(self._recalled_stops)\n",
+        "        stop = None\n",
         kinds=("kill", "stop service", "stop and reset", "emergency stop"),
     ),
     Mutant(

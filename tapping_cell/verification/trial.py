@@ -1755,6 +1755,8 @@ class Trial:
 
     def _on_lifecycle(self, process: str, active: bool) -> None:
         if active:
+            if process == "tap_planner":
+                self.checker.hidden_age = self.processes[process].hidden_age
             return
         if process == "tapper_trigger":
             self.checker.command_checker.on_deactivated()

@@ -13,7 +13,7 @@ from test_planner_with_played_devices import FAST, Actors
 
 from tapping_cell.configuration.cell import load_cell
 from tapping_cell.logic.clock import Now
-from tapping_cell.logic.effects import Answer, Content, Effect, KeepGoal, Publish
+from tapping_cell.logic.effects import Answer, Content, Effect, KeepGoal, Log, Publish
 from tapping_cell.logic.goal_handling import GoalHandling
 from tapping_cell.logic.host import Activated, Configured, Deactivated, UnansweredRequest
 from tapping_cell.logic.other_objects import OtherObjects
@@ -340,10 +340,29 @@ def test_without_a_goal_there_is_nothing_to_cancel() -> None:
     assert not cancelled(logic)[0] and logic.state is State.IDLE
 
 
-def test_an_old_goal_is_not_resumed() -> None:
-    logic, made = started(GOAL, age=16.0)
+@pytest.mark.parametrize(
+    ("age", "why"),
+    [
+        (16.0, "16.0 s have passed since the crash (resume_within is 15 s); send the goal again"),
+        (-3.0, "clock was set back since, by more than 3.0 s"),
+    ],
+)
+def test_a_goal_that_is_old_or_of_unknown_age_is_not_resumed(age: float, why: str) -> None:
+    logic, made = started(GOAL, age=age)
     assert logic.state is State.IDLE
     assert KeepGoal(None) in made
+    (warning,) = (effect.sentence for effect in made if isinstance(effect, Log))
+    assert why in warning
+
+
+def test_the_stops_that_were_stored_with_an_old_goal_do_not_end_a_newer_goal() -> None:
+    logic, _ = started(GOAL, age=16.0)
+    sent = PoseStamped()
+    sent.header.frame_id = "table"
+    logic.on_message("goal_pose", sent, NOW)
+    state = TapperState(state=TapperState.SAFE, last_stop=Time(sec=7))
+    logic.on_message("tapper_state", state, NOW)
+    assert logic.state is State.WAITING_FOR_CELL
 
 
 @pytest.mark.parametrize(
