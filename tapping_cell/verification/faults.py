@@ -60,6 +60,8 @@ start to their activation, s."""
 SHARE_OF_WRONG_CLOCKS, PLANNER_AWAY_S = 0.2, (15.0, 28.0)
 """Fraction of the planners that crash while their computer's clock is set back, and the range of
 the time until these planners are started again, s."""
+SHARE_OF_STOPS_UNSEEN = 0.2
+"""Fraction of the stops that are pressed and cleared while no planner runs."""
 SHARE_OF_LOST_COMPUTERS, CAMERA_AWAY_S = 0.2, (15.0, 40.0)
 """Fraction of the tappers that are killed together with the camera, and the range of the time until
 the camera is started again, s."""
@@ -903,19 +905,28 @@ def _service_stop(rng: np.random.Generator, trial: FaultTarget) -> Made:
 
 def _stop_and_reset(rng: np.random.Generator, trial: FaultTarget) -> Made:
     """Somebody stops a device, and soon afterwards somebody clears the stop without looking whether
-    a goal is under way. Sometimes the planner is frozen meanwhile."""
+    a goal is under way. Sometimes the planner is frozen meanwhile, or has crashed."""
     node, after = _pick(rng, (trial.arm_node, "tapper_trigger")), draw_duration(rng, 0.3, 6.0)
-    frozen = 0.0 if rng.random() < 0.7 else float(rng.uniform(0.0, 5.0))
+    share = rng.random()
+    frozen = 0.0 if share < 0.7 else float(rng.uniform(0.0, 5.0))
+    away = after + float(rng.uniform(0.5, 8.0)) if share < SHARE_OF_STOPS_UNSEEN else 0.0
 
     def strike(t: FaultTarget) -> None:
         if frozen:
             t.freeze("tap_planner", frozen)
             t.note_kind("freeze")
+        if away:
+            t.kill("tap_planner", away)
+            t.note_kind("kill")
         t.call_stop(node)
         t.scheduler.after(after, partial(t.reset, node), in_main=True)
 
     description = f"service stop of {node}, cleared after {after:.2f} s"
-    return strike, description + (f", tap_planner frozen for {frozen:.2f} s" if frozen else "")
+    if frozen:
+        description += f", tap_planner frozen for {frozen:.2f} s"
+    if away:
+        description += f", tap_planner killed just before, restarted after {away:.1f} s"
+    return strike, description
 
 
 def _stop_at_the_cell(rng: np.random.Generator, trial: FaultTarget) -> Made:
