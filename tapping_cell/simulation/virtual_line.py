@@ -72,6 +72,11 @@ class LineEnd:
         """Whether the line is open, as far as is known."""
         return self._absences is not None
 
+    @property
+    def has_vanished(self) -> bool:
+        """Whether the port went away after the line was opened, and the driver has not noticed."""
+        return self._absences is not None and self._absences != self.layer.absences
+
     def close(self) -> None:
         """Close the line."""
         self._absences = None
@@ -88,7 +93,7 @@ class LineEnd:
     def _send_stop(self, data: bytes, now: float) -> bool:
         """Latch the stop, write ``data`` and return whether it could be written."""
         self._stopped = True
-        if self._absences is None or self._absences != self.layer.absences:
+        if self._absences is None or self.has_vanished:
             return False
         self.layer.receive(data, now)
         return True
@@ -98,7 +103,7 @@ class LineEnd:
             raise HardwareFault(FaultReason.STOPPED, f"{self._name}: a stop is latched")
         if self._absences is None:
             raise HardwareFault(FaultReason.DISCONNECTED, f"{self._name} is not open")
-        if self._absences != self.layer.absences:
+        if self.has_vanished:
             self._absences = None
             raise HardwareFault(FaultReason.DISCONNECTED, f"{self._name} went away")
 

@@ -1744,6 +1744,9 @@ class Trial:
             return
         if line.failed_since(received_at):
             return
+        stopped_at = self.checker.stopped_at.get("tapper_trigger", received_at)
+        if line.has_vanished and line.failed_since(stopped_at):
+            return  # a stopped driver does not use its line, so it does not notice this
 
         def check() -> None:
             failed = line.failed_since(received_at) or self.tapper_power_lost_at > told_before

@@ -13,6 +13,7 @@ import pytest
 from tapping_cell.logic.poses import to_message
 from tapping_cell.messages import ArmState, TapCommand
 from tapping_cell.se2 import Pose
+from tapping_cell.simulation.fault_layer import Direction, FaultKind, LineFault
 from tapping_cell.verification.trial import Trial
 
 JOG = b"$J=G91 X0.5 F500\n"
@@ -142,4 +143,20 @@ def test_an_arm_may_hide_an_object_that_moved_much_farther_than_predicted(
 def test_a_refused_expired_command_without_an_id_is_no_violation(trial: Trial) -> None:
     trial.network.publish("other program", "tap_command", TapCommand(request=TapCommand.TAP))
     trial.scheduler.run(trial.scheduler.now + 1.0)
+    assert trial.checker.violations == []
+
+
+def test_a_stop_that_a_vanished_port_cannot_pass_on_is_no_violation(trial: Trial) -> None:
+    """The port goes away with the first stop. A stopped node does not use its line, and notices
+    this only at the reset."""
+    line = trial.physical.tapper_line
+    way = Direction.TO_DEVICE
+    line.layer.add(LineFault(FaultKind.HANG_UP, way, line.layer.count(way), 1, 0.5))
+    trial.call_stop("tapper_trigger")
+    trial.scheduler.run(trial.scheduler.now + 30.0)
+    assert line.is_open and line.has_vanished
+    trial.press_emergency_stop(1.0)
+    trial.scheduler.run(trial.scheduler.now + 5.0)
+    assert trial.physical.tapper_board.state != "STOPPED"
+    trial.recover()
     assert trial.checker.violations == []
