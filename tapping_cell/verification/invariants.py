@@ -308,7 +308,8 @@ class InvariantChecker:
     _placed_until: float = -math.inf
     """Time at which the arm last ceased to move to a strike pose."""
     _commanded_at: dict[int, float] = field(default_factory=dict)
-    """For each tap, the time at which it was first commanded."""
+    """For each tap, the time at which a tap at its object pose was first commanded. A program may
+    copy an old command."""
     _planned_from: dict[int, float] = field(default_factory=dict)
     """For each tap of the planner, the exposure of the last image that the planner had received
     when it commanded the tap."""
@@ -410,7 +411,7 @@ class InvariantChecker:
                 message.request == TapCommand.TAP
                 and message.tap_id not in self.command_checker.invalid
             ):
-                self._commanded_at.setdefault(message.tap_id, self.scheduler.now)
+                self._commanded_at.setdefault(message.tap_id, self._first_commanded(message))
                 self.commands[message.tap_id] = message
                 if node == "tap_planner (second)":
                     self._note_tap_of_second()
@@ -1044,8 +1045,17 @@ class InvariantChecker:
     def _placed_tap_seen_at(self) -> float:
         """Exposure of the image from which the arm's last tap was planned; the time of the command
         if another program commanded the tap."""
-        commanded = self._commanded_at.get(self._placed_tap, -math.inf)
-        return self._planned_from.get(self._placed_tap, commanded)
+        return self._seen_at_for(self._placed_tap)
+
+    def _seen_at_for(self, tap_id: int) -> float:
+        return self._planned_from.get(tap_id, self._commanded_at.get(tap_id, -math.inf))
+
+    def _first_commanded(self, message: TapCommand) -> float:
+        """Return the time at which a tap at the object pose of this command was first commanded."""
+        for tap_id, earlier in self.commands.items():
+            if earlier.object_pose == message.object_pose:
+                return self._seen_at_for(tap_id)
+        return self.scheduler.now
 
     def _check_view(self, message: ArmState) -> None:
         """Check that the arm does not hide the object when its node begins to report this."""

@@ -126,6 +126,25 @@ def test_a_refused_command_does_not_hide_that_a_hand_moved_the_object(
     assert {violation.name for violation in checker.violations} == {"false view"}
 
 
+@pytest.mark.parametrize(("shift", "names"), [(0.0, set()), (0.001, {"false view"})])
+def test_a_copied_command_does_not_hide_that_a_hand_moved_the_object(
+    trial: Trial, monkeypatch: pytest.MonkeyPatch, shift: float, names: set[str]
+) -> None:
+    """A program commands tap 8 after a hand has moved the object, with the object pose of tap 7, or
+    with a new one."""
+    checker, place = trial.checker, trial.physical.object_pose(trial.scheduler.now)
+    tap_an_object_that_stays_hidden(trial, monkeypatch, place, place)
+    trial.scheduler.run(trial.scheduler.now + 1.0)
+    checker.moved_by_hand = trial.scheduler.now, place
+    trial.scheduler.run(trial.scheduler.now + 1.0)
+    pose = to_message(Pose(place.x + shift, place.y, place.theta))
+    copied = TapCommand(tap_id=8, object_pose=pose, predicted_pose=pose)
+    checker.on_publish("other program", "tap_command", copied)
+    checker.on_publish("scara_arm", "arm_state", ArmState(state=ArmState.MOVING, tap_id=8))
+    checker.on_publish("scara_arm", "arm_state", ArmState(clear_of_camera=True))
+    assert {violation.name for violation in checker.violations} == names
+
+
 @pytest.mark.parametrize(("share", "names"), [(1.0, {"false view"}), (2.0, set())])
 def test_an_arm_may_hide_an_object_that_moved_much_farther_than_predicted(
     trial: Trial, monkeypatch: pytest.MonkeyPatch, share: float, names: set[str]
