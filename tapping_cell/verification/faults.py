@@ -285,8 +285,12 @@ def _kill_and_set_clock_back(rng: np.random.Generator) -> Made:
     lasting = away - before + draw_duration(rng, 1.0, 15.0)
 
     def strike(t: FaultTarget) -> None:
+        def set_clock_back() -> None:
+            t.note_kind("clock step")
+            _step_clock(t, "tap_planner", -step, lasting)
+
         t.kill("tap_planner", away)
-        t.scheduler.after(before, lambda: _step_clock(t, "tap_planner", -step, lasting))
+        t.scheduler.after(before, set_clock_back)
 
     return strike, (
         f"tap_planner killed, restarted after {away:.1f} s; the clock of its computer stepped by"
@@ -741,7 +745,6 @@ def _step_clock(trial: FaultTarget, node: str, step: float, lasting: float) -> N
         clock.offset -= step
 
     clock.offset += step
-    trial.note_kind("clock step")
     # A node estimates the clock of another node from the messages of the last ``WINDOW_S``. After
     # the clock was set back, the estimate therefore remains wrong for this time.
     trial.note_disturbance(lasting + WINDOW_S)
