@@ -27,6 +27,7 @@ from tapping_cell.messages import (
 )
 from tapping_cell.se2 import Pose
 from tapping_cell.simulation.tabletop import TrueContact
+from tapping_cell.verification.host import SLOW_COMPUTING_S
 from tapping_cell.verification.invariants import (
     BUMP_M,
     ENDED,
@@ -525,7 +526,10 @@ class TableInvariantChecker(InvariantChecker):
         if interrupted or self._deciding_since == math.inf:
             self._deciding_since = now
         self._deciding_since = max(self._deciding_since, self._view_changed_at)
-        limit = self.deadlines[PlanState.LOOKING] + WAIT_SLACK_S
+        # A decision that begins shortly before the deadline may ask for a further image. The second
+        # decision, after the deadline, does not.
+        computing = 2 * SLOW_COMPUTING_S[1]
+        limit = self.deadlines[PlanState.LOOKING] + computing + WAIT_SLACK_S
         without = now - self._deciding_since
         if without > limit:
             self.violate(

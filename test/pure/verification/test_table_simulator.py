@@ -128,6 +128,21 @@ def test_a_planner_that_discards_every_decision_is_detected(
     assert found == set() if avoids else "no decision" in found
 
 
+@pytest.mark.parametrize(("seconds", "found"), [(20, set()), (22, {"no decision"})])
+def test_two_slow_decisions_after_a_long_observation_are_allowed(
+    seconds: int, found: set[str]
+) -> None:
+    """A planner observes for almost 10 s, for example while it waits for the camera's clock. The
+    decision then takes 5 s, asks for a further image, and the next decision takes 5 s again."""
+    trial = TableTrial(1, faults=False)
+    checker, scheduler = trial.checker, trial.scheduler
+    for elapsed in range(2 * seconds + 1):
+        state = PlanState.LOOKING if elapsed < 20 else PlanState.PLANNING
+        checker._check_decisions(PlanState(state=state))
+        scheduler.run(scheduler.now + 0.5)
+    assert {violation.name for violation in checker.violations} == found
+
+
 def test_an_arrangement_must_be_where_it_says() -> None:
     trial = TableTrial(1, faults=False)
     trial.bring_up()
