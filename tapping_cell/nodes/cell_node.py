@@ -108,11 +108,18 @@ class CellNode(LifecycleNode, Generic[Parameters]):
     def __init__(self, name: str, parameter_class: type[Parameters]) -> None:
         self._steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
         super().__init__(name, automatically_declare_parameters_from_overrides=True)
-        parameters.declare(self, parameter_class, self.changeable)
+        self._parameter_class = parameter_class
+        try:
+            parameters.declare(self, parameter_class, self.changeable)
+            self.settings = parameters.read(self, parameter_class)
+        except ConfigurationError:
+            # Otherwise the garbage collector destroys the node at any later time. If another node
+            # of the process is just being discovered then, Fast DDS can wait forever. What a
+            # subclass destroys does not exist yet.
+            LifecycleNode.destroy_node(self)
+            raise
         self._simulated_time = self.get_parameter(SIMULATED_TIME).value
         self.add_on_set_parameters_callback(self._on_set_parameters)
-        self._parameter_class = parameter_class
-        self.settings = parameters.read(self, parameter_class)
         self.role = name
         """Default name of the node. The default name does not change if ``__node:=`` renames the
         node."""

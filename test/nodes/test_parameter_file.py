@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 import rclpy
+from rclpy.lifecycle import LifecycleNode
 
 from tapping_cell.configuration.files import shared_folder
 from tapping_cell.configuration.schema import ConfigurationError
@@ -74,9 +75,17 @@ def test_a_value_reaches_its_node_and_no_other(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["/**", "/**/{node}", "/left/{node}"])
 @pytest.mark.parametrize("node", CLASSES)
-def test_an_unknown_name_is_refused_by_every_node(node: str, name: str, tmp_path: Path) -> None:
+def test_an_unknown_name_is_refused_by_every_node(
+    node: str, name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     file = tmp_path / "parameters.yaml"
     file.write_text(f"{name.format(node=node)}:\n  ros__parameters: {{atempts: 3}}\n")
+    module = importlib.import_module(MODULES[node])
+    destroyed = []
+    destroy = LifecycleNode.destroy_node
+    monkeypatch.setattr(LifecycleNode, "destroy_node", lambda n: (destroyed.append(n), destroy(n)))
     refused = pytest.raises(ConfigurationError, match="unknown parameter 'atempts'")
     with refused, started(node, file, "/left"):
         pass
+    # A node that is left to the garbage collector can block the process for ever.
+    assert [type(one) for one in destroyed] == [getattr(module, CLASSES[node])]
