@@ -15,7 +15,7 @@ from tapping_cell.verification.campaign import Summary, reports_of, seeds_of
 
 DEFAULT_COUNT = 2000
 """Number of goals."""
-SEED = 42
+SEED = 43
 """Seed of the campaign. A new record takes a new seed: an earlier seed's defects are mended, so it
 says less about the rest."""
 GOALS_IN_A_STEP = 500
