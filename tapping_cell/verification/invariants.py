@@ -205,6 +205,8 @@ class InvariantChecker:
     """Return the time since which a process's node has been inactive, s; inf while it is active."""
     planner_gone_since: float = math.inf
     """Time at which the planner's process ended; inf while the process exists."""
+    second_planner_until: float = -math.inf
+    """Time at which the last planner ends that was started as a second one by mistake."""
     promises: dict[tuple[int, int], float] = field(default_factory=dict)
     """End of each of the arm's promises to stand still, by the tap id and key of the request."""
     keys_of_tapper: set[int] = field(default_factory=set)
@@ -328,6 +330,8 @@ class InvariantChecker:
     """Ids of the taps that the planner has commanded for each goal."""
     _taps_of_second: dict[int, int] = field(default_factory=dict)
     """Number of taps that a second planner has commanded during each goal."""
+    _ids_of_second: set[int] = field(default_factory=set)
+    """Ids of the taps that a second planner has commanded."""
     _forged: set[int] = field(default_factory=set)
     """Ids of the taps of which another node than the tapper has reported an outcome."""
     _report: TapperState | None = None
@@ -414,7 +418,7 @@ class InvariantChecker:
                 self._commanded_at.setdefault(message.tap_id, self._first_commanded(message))
                 self.commands[message.tap_id] = message
                 if node == "tap_planner (second)":
-                    self._note_tap_of_second()
+                    self._note_tap_of_second(message.tap_id)
                 if node == "tap_planner":
                     self.planners.add(message.tap_id)
                     if self.confirmation is not None:
@@ -511,7 +515,10 @@ class InvariantChecker:
         self._check_permit(release)
         self._check_last_check(release)
         self._check_time(release, command)
-        absent = release.time - self.planner_gone_since
+        gone_since = self.planner_gone_since
+        if shot in self._ids_of_second:
+            gone_since = max(gone_since, self.second_planner_until)
+        absent = release.time - gone_since
         if absent > ORPHAN_S:
             self.violate(
                 "no planner", f"shot {shot} was fired {absent:.2f} s after its planner had ended"
@@ -1178,9 +1185,10 @@ class InvariantChecker:
             self.violate("cancel without effect", "the cancelled goal has not ended")
         self._is_crashed_cancelled = True
 
-    def _note_tap_of_second(self) -> None:
+    def _note_tap_of_second(self, tap_id: int) -> None:
         """Process a tap that a second planner commands, which by mistake uses the same files. It
         may count for the goal that a planner resumes from these files."""
+        self._ids_of_second.add(tap_id)
         goal = self._goal if self._crashed is None else self._crashed[0]
         if goal is not None:
             self._taps_of_second[goal] = self._taps_of_second.get(goal, 0) + 1

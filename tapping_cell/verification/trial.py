@@ -1121,14 +1121,20 @@ class Trial:
         if not process.alive:
             return
         self._token += 1
-        self.note_kind("cancel")
+        self._note_cancel()
         process.request(
             "~/cancel", Trigger.Request(), ("person", self._token), self._on_cancel_answered
         )
 
     def _on_cancel_answered(self, response: Trigger.Response) -> None:
-        self.note_kind("cancel")  # a frozen planner handles the request late
+        self._note_cancel()  # a frozen planner handles the request late
         self.checker.on_goal_cancelled()
+
+    def _note_cancel(self) -> None:
+        """Record that the present goal is cancelled, which may be a later one than the goal for
+        which the fault was drawn."""
+        self.note_kind("cancel")
+        self.note_disturbance(0.0)
 
     def freeze(self, node: str, duration: float) -> None:
         """Freeze a process."""
@@ -1223,6 +1229,9 @@ class Trial:
         second.on_log = self._on_log
         self._seconds.append(second)
         second.start()
+        if node == "tap_planner":
+            ends = self.scheduler.now + lasting
+            self.checker.second_planner_until = max(self.checker.second_planner_until, ends)
         self.scheduler.after(lasting, second.kill, in_main=True)
 
     def plant_exception(self, node: str, lines: int, function: str = "") -> None:

@@ -59,3 +59,13 @@ def test_the_service_ends_a_goal_that_would_be_resumed(
     else:
         assert plan.state == PlanState.CANCELED
     assert trial.checker.violations == []
+
+
+def test_a_goal_without_faults_may_be_cancelled_by_an_earlier_fault() -> None:
+    """A fault calls the service after seconds, while a later goal may be the present one (run
+    43000692)."""
+    trial = Trial(seed=21, faults=False)
+    trial.scheduler.at(12.0, trial.cancel_by_service)
+    report = trial.run(1)
+    assert [outcome.code for outcome in report.outcomes] == [ErrorCode.GOAL_CANCELED]
+    assert report.violations == []

@@ -179,3 +179,20 @@ def test_a_stop_that_a_vanished_port_cannot_pass_on_is_no_violation(trial: Trial
     assert trial.physical.tapper_board.state != "STOPPED"
     trial.recover()
     assert trial.checker.violations == []
+
+
+@pytest.mark.parametrize("runs", [True, False])
+def test_the_tap_of_a_second_planner_needs_that_planner_only(trial: Trial, runs: bool) -> None:
+    """The planner has crashed, and one that was started by mistake works on a goal (run 43000720).
+    If the second planner counts as ended, its shot is a violation."""
+    trial.kill("tap_planner", 60.0)
+    trial.start_second("tap_planner", 30.0)
+    trial.scheduler.run(trial.scheduler.now + 5.0)
+    if not runs:
+        trial.checker.second_planner_until = trial.scheduler.now
+    trial.send_goal(Pose(0.04, -0.02, 0.3), foreign=True)
+    trial.scheduler.run(trial.scheduler.now + 15.0, lambda: bool(trial.physical.releases))
+    trial.scheduler.run(trial.scheduler.now + 0.1)
+    assert trial.physical.releases
+    names = {violation.name for violation in trial.checker.violations}
+    assert names == (set() if runs else {"no planner"})
