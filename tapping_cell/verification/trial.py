@@ -1043,6 +1043,12 @@ class Trial:
         goals."""
         self._disturbed_until = max(self._disturbed_until, self.scheduler.now + duration)
 
+    def _note_delayed(self, kind: str) -> None:
+        """Record that a fault of this kind, which may have been drawn for an earlier goal, has its
+        effect now."""
+        self.note_kind(kind)
+        self.note_disturbance(0.0)
+
     def _causes(self, code: int) -> set[str]:
         """Return the kinds of injected faults that are recent enough to be the cause of a code."""
         # A fault of a line happens at a certain byte. If the line is idle, this is long after the
@@ -1121,20 +1127,14 @@ class Trial:
         if not process.alive:
             return
         self._token += 1
-        self._note_cancel()
+        self._note_delayed("cancel")
         process.request(
             "~/cancel", Trigger.Request(), ("person", self._token), self._on_cancel_answered
         )
 
     def _on_cancel_answered(self, response: Trigger.Response) -> None:
-        self._note_cancel()  # a frozen planner handles the request late
+        self._note_delayed("cancel")  # a frozen planner handles the request late
         self.checker.on_goal_cancelled()
-
-    def _note_cancel(self) -> None:
-        """Record that the present goal is cancelled, which may be a later one than the goal for
-        which the fault was drawn."""
-        self.note_kind("cancel")
-        self.note_disturbance(0.0)
 
     def freeze(self, node: str, duration: float) -> None:
         """Freeze a process."""
@@ -1242,8 +1242,7 @@ class Trial:
 
     def _on_planted(self, node: str, place: str) -> None:
         self._note(f"EXCEPTION in {node} at {place}")
-        self.note_kind(f"exception in {node}")
-        self.note_disturbance(0.0)  # the fault may have been injected during an earlier goal
+        self._note_delayed(f"exception in {node}")
         self.report.by_node[f"exception {node}"] += 1
         if node == "scara_arm":
             # The arm has a fault now, until it is cleared and homed.
