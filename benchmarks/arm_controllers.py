@@ -11,8 +11,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from tapping_cell.verification.controller_cell import NAMES
-from tapping_cell.verification.controller_trials import FAULTS, run_faults, run_moves
+from lab.drivers.controller_cell import NAMES
+from lab.drivers.controller_trials import FAULTS, run_faults, run_moves
 
 DEFAULT_COUNT = 200
 """Number of moves of each controller. The number of trials of each kind of fault is a fifth of this

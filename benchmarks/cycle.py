@@ -28,6 +28,8 @@ from rich.console import Console
 from tapping_cell_msgs.msg import ArmState, ObjectState, PlanState, TapCommand, TapperState
 
 from benchmarks.rigs import simulated_graph
+from lab.trial import Trial
+from lab.virtual_cell.host import HostClock
 from tapping_cell.cli import session
 from tapping_cell.cli.graph import nodes_of, own_domain
 from tapping_cell.configuration.cell import Cell, load_cell
@@ -36,8 +38,6 @@ from tapping_cell.logic.poses import from_message
 from tapping_cell.nodes.cell_node import COMMAND, LATCHED
 from tapping_cell.nodes.clients.goal_client import GoalClient
 from tapping_cell.se2 import Pose, wrap_angle
-from tapping_cell.verification.host import HostClock
-from tapping_cell.verification.trial import Trial
 
 DEFAULT_COUNT = 20
 MOVES = ((10.0, 0.0, 10.0), (-10.0, 0.0, -10.0))

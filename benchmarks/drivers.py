@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 
-from tapping_cell.cli.fault_trials import Dialect, TrialCell
+from lab.drivers.driver_trials import Dialect, TrialCell
 from tapping_cell.hardware.arm import ArmDriver
 from tapping_cell.hardware.faults import HardwareFault
 from tapping_cell.hardware.grbl import STOP

@@ -22,10 +22,10 @@ from typing import Any
 
 import numpy as np
 
+from lab.campaign import Summary, reports_of
+from lab.faults.faults import NODES, Mix
+from lab.trial import Trial
 from tapping_cell.messages import TapCommand
-from tapping_cell.verification.campaign import Summary, reports_of
-from tapping_cell.verification.faults import NODES, Mix
-from tapping_cell.verification.trial import Trial
 
 DEFAULT_COUNT = 1000
 """Minimum number of freezes of each node. The minimum number of all kills, restarts and stops of a

@@ -37,7 +37,6 @@ VERBS = {
     "sensitivity": "compute the sensitivity of a tap's result to errors of the striker's pose",
     "locate": "measure the object's pose in image files",
     "calibrate": "calibrate camera, table, arm or tappers; print sheets",
-    "faults": "test logic, drivers and boards under injected faults, in simulated time",
     "report": "rewrite the reports of run folders, and compare runs",
     "check-config": "check configuration files without starting anything",
     "doctor": "check the settings of arm and tapper without moving them",
@@ -48,6 +47,8 @@ VERBS = {
 MOVED = {
     "bench": "the benchmarks are no longer part of the package; in the source tree, run  python -m "
     "benchmarks",
+    "faults": "the cell under faults is tested by the laboratory, which is not installed; in the "
+    "source tree, run  python -m lab faults  (whole cell), or  python -m lab drivers",
 }
 """Error messages for verbs that were removed, by verb. Each message names the replacement."""
 

@@ -8,8 +8,8 @@ import json
 import numpy as np
 import pytest
 
+from lab.drivers.driver_trials import Dialect, TrialCell, bytes_of_a_tap, run_sweep, run_taps
 from tapping_cell.cli import main
-from tapping_cell.cli.fault_trials import Dialect, TrialCell, bytes_of_a_tap, run_sweep, run_taps
 from tapping_cell.hardware.tapper import FireOutcome
 from tapping_cell.simulation.fault_layer import (
     Direction,

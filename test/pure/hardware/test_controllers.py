@@ -8,6 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from lab.drivers.controller_cell import (
+    GRBL_NAMES,
+    HOME,
+    NAMES,
+    START,
+    ControllerCell,
+)
 from tapping_cell.hardware.arm_settings import ArmSettings, HomingStrategy
 from tapping_cell.hardware.faults import LINE_LOST, FaultReason, HardwareFault
 from tapping_cell.simulation.fault_layer import Direction, FaultKind, LineFault
@@ -15,13 +22,6 @@ from tapping_cell.simulation.grbl_emulator import GrblEmulator
 from tapping_cell.simulation.grbl_machine import GrblMachine, default_settings
 from tapping_cell.simulation.grbl_variants import GRBL_3_AXES
 from tapping_cell.simulation.marlin_emulator import MarlinEmulator, MarlinMachine
-from tapping_cell.verification.controller_cell import (
-    GRBL_NAMES,
-    HOME,
-    NAMES,
-    START,
-    ControllerCell,
-)
 
 REPORTED_NAME = {
     "grbl": "Grbl",

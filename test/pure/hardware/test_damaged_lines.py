@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from lab.drivers.controller_cell import HOME, ControllerCell
 from tapping_cell.hardware.arm import ArmDriver
 from tapping_cell.hardware.arm_settings import HomingStrategy
 from tapping_cell.hardware.dialect import StraightMove
@@ -18,7 +19,6 @@ from tapping_cell.hardware.marlin_dialect import MarlinDialect
 from tapping_cell.hardware.motion import MotionSettings, withdraw_path
 from tapping_cell.hardware.scara import Joints, ReachCode
 from tapping_cell.simulation.fault_layer import Direction, FaultKind, LineFault
-from tapping_cell.verification.controller_cell import HOME, ControllerCell
 
 DIALECTS = ("grbl", "marlin")
 START = Joints(-0.9, 2.2, -0.02, 0.0)

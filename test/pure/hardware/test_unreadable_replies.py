@@ -10,6 +10,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from wrong_baud import WrongBaud, sampled
 
+from lab.trial import shipped_cell
 from tapping_cell.configuration.arm_assembly import make_arm_driver
 from tapping_cell.hardware.arm import ArmDriver
 from tapping_cell.hardware.faults import FaultReason, HardwareFault
@@ -24,7 +25,6 @@ from tapping_cell.simulation.marlin_emulator import MarlinEmulator, MarlinMachin
 from tapping_cell.simulation.tapper_emulator import TapperEmulator
 from tapping_cell.simulation.truth import ArmTruth
 from tapping_cell.simulation.virtual_line import VirtualClock, VirtualTransport
-from tapping_cell.verification.trial import shipped_cell
 
 DIALECTS = ("grbl", "marlin")
 OTHER_RATES = (9600, 57600, 230400, 250000)

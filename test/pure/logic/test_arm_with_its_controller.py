@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from virtual_node import VirtualNode
 
+from lab.virtual_cell.serial_line import SerialLine
 from tapping_cell.configuration.arm_assembly import make_arm_driver
 from tapping_cell.configuration.cell import load_cell
 from tapping_cell.hardware.arm import ArmDriver
@@ -39,7 +40,6 @@ from tapping_cell.se2 import Pose
 from tapping_cell.simulation.devices import arm_emulator
 from tapping_cell.simulation.grbl_emulator import GrblEmulator
 from tapping_cell.simulation.truth import ArmTruth
-from tapping_cell.verification.serial_line import SerialLine
 
 STRIKE = Pose(-0.08, 0.02, 0.3)
 JOINT_NAMES = ["shoulder", "elbow", "quill", "tool"]

@@ -14,6 +14,7 @@ from test_objects_without_a_file import square_at
 from test_planner_with_played_devices import COVARIANCE, FAST, shipped
 from virtual_node import VirtualNode
 
+from lab.virtual_cell import host
 from tapping_cell.configuration.objects import ObjectFile
 from tapping_cell.logic.arrangement import (
     FOLLOWS,
@@ -51,7 +52,6 @@ from tapping_cell.messages import (
 from tapping_cell.messages import Pose as PoseMessage
 from tapping_cell.planning.arrangement import ArrangementSession
 from tapping_cell.se2 import Pose
-from tapping_cell.verification import host
 
 PATIENT = replace(FAST, observe_deadline=8.0)
 """Settings with which the planner waits longer than an object is remembered."""

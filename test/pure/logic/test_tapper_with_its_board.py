@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 from virtual_node import VirtualNode
 
+from lab.virtual_cell.serial_line import SerialLine
 from tapping_cell.hardware.tapper import TapperDriver
 from tapping_cell.logic.host import Deactivated
 from tapping_cell.logic.poses import to_message
@@ -30,7 +31,6 @@ from tapping_cell.se2 import Pose
 from tapping_cell.simulation.fault_layer import Direction, FaultKind, LineFault
 from tapping_cell.simulation.spring_drive import SpringMechanism
 from tapping_cell.simulation.tapper_emulator import TapperEmulator, TapperMachine
-from tapping_cell.verification.serial_line import SerialLine
 
 
 class Cell(VirtualNode):
