@@ -29,7 +29,6 @@ SECTIONS = ("calibrate", "drivers", "emergency_stop", "mechanics", "vision")
 
 # Long sections, which run only if they are named.
 LONG_SECTIONS = (
-    "arm-controllers",
     "arrangements",
     "calibration",
     "composition",
@@ -41,7 +40,6 @@ LONG_SECTIONS = (
     "idle",
     "lack-of-fit",
     "lost-nodes",
-    "mutants",
     "node",
     "opencv-versions",
     "outline",
@@ -92,8 +90,8 @@ def make_parser() -> argparse.ArgumentParser:
         help="number of scenes (arrangements, outline), images (opencv-versions), scenes or frames "
         "(vision*), experiments (calibration, lack-of-fit), demos per truth file (demos), demos "
         "(precision-graph), callbacks (composition), goals (cycle, fixed-cycle, simulated-time, "
-        "two-computers, unknown-worlds), losses (disarm), moves of a controller "
-        "(arm-controllers), freezes of a node (lost-nodes), goals per mutant (mutants), trials "
+        "two-computers, unknown-worlds), losses (disarm), "
+        "freezes of a node (lost-nodes), trials "
         "(fixed-tappers, precision, unknown-objects), or seconds (node, idle) (default: set by "
         "each section)",
     )

@@ -33,6 +33,7 @@ def main() -> int:
     try:
         return int(module.run(own.parse_args(sys.argv[2:])))
     except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
         return 130
 
 

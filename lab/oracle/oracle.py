@@ -509,7 +509,8 @@ class Oracle:
             off = self.difference_of_place(command, release) + excess / ENERGY_SHARE
             return round(off, 6), -to_nanoseconds(command.expiry)
 
-        return min(self._taken.get(release.shot, ()), key=difference, default=None)
+        variants = self._taken.get(release.shot)
+        return min(variants, key=difference) if variants else None
 
     def difference_of_place(self, command: TapCommand, release: Release) -> float:
         """Return how far the strike of a command is from a release, as a multiple of the limits."""

@@ -35,17 +35,6 @@ ARROWS = {
     "calibration": {"se2", "mechanics", "vision", "hardware", "configuration"},
     "report": {"se2", "durable_file", "mechanics", "planning", "configuration"},
     "logic": {"se2", "messages", "hardware", "planning", "vision", "configuration"},
-    "verification": {
-        "se2",
-        "messages",
-        "logic",
-        "hardware",
-        "planning",
-        "vision.rest_detection",
-        "vision.other_objects",
-        "configuration",
-        "simulation",
-    },
     "nodes": {
         "se2",
         "durable_file",
@@ -65,7 +54,6 @@ ARROWS = {
         "durable_file",
         "messages",
         "logic",
-        "verification",
         "mechanics",
         "vision",
         "hardware",
@@ -318,6 +306,7 @@ PLANTED = [
     ("simulation/bad.py", "from serial import Serial", strangers),
     ("hardware/bad.py", "from std_srvs.srv import Trigger", strangers),
     ("vision/bad.py", "import pandas", strangers),
+    ("logic/bad.py", "from lab.trial import Trial", strangers),
     ("simulation/bad.py", "from tapping_cell.hardware.arm import ArmDriver", drivers_in_the_world),
 ]
 

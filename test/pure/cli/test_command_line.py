@@ -64,9 +64,8 @@ def test_a_closed_output_pipe_ends_a_verb_silently(unbuffered: str) -> None:
 @pytest.mark.parametrize(
     "options",
     [
-        ("--goals", "100000", "--jobs", "2"),
-        ("--taps", "10000000", "--jobs", "2"),
-        ("--mutants", "--jobs", "2"),
+        ("faults", "--goals", "100000", "--jobs", "2"),
+        ("drivers", "--taps", "10000000", "--jobs", "2"),
     ],
     ids=lambda options: options[0],
 )
@@ -74,7 +73,7 @@ def test_a_signal_ends_a_campaign_and_its_processes(
     options: tuple[str, ...], number: signal.Signals
 ) -> None:
     process = subprocess.Popen(
-        [sys.executable, "-m", "tapping_cell", "faults", *options],
+        [sys.executable, "-m", "lab", *options],
         start_new_session=True,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,

@@ -63,7 +63,6 @@ WRONG: list[tuple[str, str]] = [
     ("doctor --cell /nowhere/cell.yaml", "/nowhere/cell.yaml"),
     ("completion --shell tcsh", "choose from bash, zsh, fish"),
     ("fit /nowhere/records", "/nowhere/records"),
-    ("faults --taps 0", "at least 1"),
     ("sensitivity --distance nan", "'nan' is not a finite number"),
     # Options that exclude each other or have no effect.
     ("demo --move 10 0 10 --goal 0 0 0", "not allowed with argument --move"),
@@ -74,8 +73,6 @@ WRONG: list[tuple[str, str]] = [
     ("up --hardware --seed 3", "only in simulation"),
     ("up --no-record --runs elsewhere", "only without --no-record"),
     ("evaluate --sweep friction=0.1:0.4:7", "--report"),
-    ("faults --taps 10 --goals 3", "--goals"),
-    ("faults --goals 3 --set-up --several-objects", "exclude each other"),
     # Values that no cell can accept.
     ("demo --goal 5000 0 0", "outside the usable area"),
     ("demo --goal 0 -221 0", "(103)"),
@@ -91,7 +88,6 @@ WRONG: list[tuple[str, str]] = [
     ("up --page 192.0.2.7:8010", "no server can listen at 192.0.2.7"),
     ("evaluate --box nan", "'nan' is not a finite number"),
     ("commission --again breakfast", "choose from"),
-    ("faults --dialect klipper", "choose from"),
     # Files of the wrong kind or with wrong content.
     ("demo --cell FILES/binary.yaml", "is not UTF-8 text"),
     ("demo --cell FILES/latin.yaml", "is not UTF-8 text"),
@@ -123,7 +119,6 @@ WRONG: list[tuple[str, str]] = [
     ("single-tap --namespace left", "only with --attach"),
     ("single-tap --truth FILES/list.yaml", "must be a mapping"),
     ("single-tap --incidences 90", "within +-60 deg"),
-    ("faults --crashes --node nobody", "unknown: nobody"),
     (
         "calibrate arm a.csv --record --namespace a$b --output c.yaml",
         "'a$b' is not a ROS namespace",

@@ -3,13 +3,14 @@ result is reported, and nothing hangs."""
 
 from __future__ import annotations
 
+import argparse
 import json
 
 import numpy as np
 import pytest
 
+from lab.commands import drivers
 from lab.drivers.driver_trials import Dialect, TrialCell, bytes_of_a_tap, run_sweep, run_taps
-from tapping_cell.cli import main
 from tapping_cell.hardware.tapper import FireOutcome
 from tapping_cell.simulation.fault_layer import (
     Direction,
@@ -52,7 +53,7 @@ def test_seeds_that_once_gave_a_false_report_or_an_unreset_board(
 @pytest.mark.parametrize("kind", [FaultKind.RESET, FaultKind.HANG_UP])
 def test_a_reset_or_an_unplugged_cable_during_a_tap(dialect: Dialect, kind: FaultKind) -> None:
     """A fault occurs at one byte of a tap. About 12 bytes of each line and direction are tested
-    here; `faults --every-byte` tests all bytes."""
+    here; `lab drivers --every-byte` tests all bytes."""
     for (line, direction), count in bytes_of_a_tap(dialect).items():
         step = max(41, count // 12)
         tally = run_sweep(dialect, kind, line, direction, range(0, count, step))
@@ -190,11 +191,16 @@ def test_random_faults_are_repeatable_and_of_every_kind() -> None:
     assert {fault.kind for fault in drawn[0]} == set(FaultKind)
 
 
-def test_the_verb_prints_json_and_is_repeatable(capsys: pytest.CaptureFixture[str]) -> None:
+def run_command(*words: str) -> int:
+    parser = argparse.ArgumentParser()
+    drivers.add_arguments(parser)
+    return drivers.run(parser.parse_args(words))
+
+
+def test_the_command_prints_json_and_is_repeatable(capsys: pytest.CaptureFixture[str]) -> None:
     results = []
     for jobs in ("1", "2"):
-        words = ["faults", "--taps", "120", "--seed", "3", "--jobs", jobs, "--json"]
-        assert main(words) == 0
+        assert run_command("--taps", "120", "--seed", "3", "--jobs", jobs, "--json") == 0
         result = json.loads(capsys.readouterr().out)
         result.pop("wall_time")
         results.append(result)
@@ -205,6 +211,6 @@ def test_the_verb_prints_json_and_is_repeatable(capsys: pytest.CaptureFixture[st
     assert order[0] == order[1]
 
 
-def test_the_verb_refuses_invalid_options(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["faults", "--taps", "0"]) == 2
+def test_the_command_refuses_invalid_options(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_command("--taps", "0") == 2
     assert "--taps" in capsys.readouterr().err

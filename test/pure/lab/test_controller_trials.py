@@ -1,4 +1,4 @@
-"""The trials of the benchmark arm-controllers: one of each kind passes, and a defect makes them
+"""The trials of ``lab drivers --controllers``: one of each kind passes, and a defect makes them
 fail."""
 
 from __future__ import annotations
