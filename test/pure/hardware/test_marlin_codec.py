@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from tapping_cell.hardware import marlin
@@ -77,7 +77,6 @@ def test_partly_valid_lines_are_invalid(line: bytes) -> None:
     assert isinstance(marlin.decode(line + b"\n").frame, Bad)
 
 
-@settings(max_examples=1000)
 @given(st.binary(max_size=700))
 def test_any_bytes_are_tolerated_and_consumed(data: bytes) -> None:
     while True:

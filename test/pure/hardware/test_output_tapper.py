@@ -230,7 +230,7 @@ FAULTS = st.sampled_from(
 )
 
 
-@settings(deadline=None, max_examples=300)
+@settings(max_examples=4 * settings.default.max_examples)
 @given(
     st.sampled_from(["service", "topic", "pulse"]),
     st.booleans(),

@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 from trajectory_controller import ControllerSettings, TrajectoryController
 from virtual_trajectory_link import VirtualTrajectoryLink
@@ -85,7 +85,6 @@ joints = st.tuples(*(st.floats(a, b) for a, b in zip(GEOMETRY.lower, GEOMETRY.up
 speeds = st.floats(0.05, 1.0)
 
 
-@settings(max_examples=60, deadline=None)
 @given(joints, joints, speeds)
 def test_a_move_respects_the_limits_and_takes_the_least_time(
     start: tuple[float, ...], goal: tuple[float, ...], speed: float
@@ -118,7 +117,6 @@ def test_a_move_respects_the_limits_and_takes_the_least_time(
     assert controller.state(duration + 0.1)[0] == pytest.approx(goal, abs=1e-12)
 
 
-@settings(deadline=None, max_examples=20)
 @example(0.0625, 0.0625, 0.0518036, 0.05)
 @given(
     st.floats(0.02, 0.12),
@@ -393,7 +391,6 @@ def test_a_nan_joint_value_is_a_lost_position(cell: Cell) -> None:
     assert not driver.homed
 
 
-@settings(max_examples=25, deadline=None)
 @given(
     st.booleans(),
     st.lists(

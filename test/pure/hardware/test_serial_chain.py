@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
@@ -68,7 +68,6 @@ def test_forward_kinematics_agree_with_the_drawing(joints: tuple[float, ...]) ->
     np.testing.assert_allclose(CHAIN.forward(joints), reference(joints), atol=1e-9)
 
 
-@settings(deadline=None, max_examples=60)
 @given(JOINT_VALUES, st.lists(st.floats(-0.15, 0.15), min_size=6, max_size=6))
 def test_inverse_kinematics_reach_nearby_reachable_poses(
     joints: tuple[float, ...], away: list[float]
@@ -89,7 +88,6 @@ def test_inverse_kinematics_reach_nearby_reachable_poses(
 
 
 @given(st.floats(-0.25, 0.25), st.floats(-0.15, 0.15), st.floats(-1.5, 1.5))
-@settings(deadline=None, max_examples=60)
 def test_every_table_position_is_solved_from_the_park_pose(x: float, y: float, yaw: float) -> None:
     target = upright(np.array([0.47 + y, x, 0.006, yaw]))
     solution = CHAIN.inverse(target, (0.0, 0.5, 0.5, 0.0, 0.57, 0.0))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import binascii
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from tapping_cell.hardware import tapper_protocol as protocol
@@ -93,7 +93,6 @@ def test_an_echoed_request_is_not_a_reply(command: Command, session: int, sequen
     assert isinstance(decoded.frame, Bad)
 
 
-@settings(max_examples=1000)
 @given(st.binary(max_size=400))
 def test_any_bytes_are_tolerated_and_consumed(data: bytes) -> None:
     while data:

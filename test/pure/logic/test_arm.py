@@ -11,7 +11,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from test_permit import CELL, TAP, Pair, at, jobs, messages
 
@@ -622,7 +622,6 @@ def began(name: str, reports: Sequence[float]) -> float:
 
 
 @pytest.mark.parametrize("name", ["withdraw", "follow", "home"])
-@settings(max_examples=30)
 @given(st.lists(st.floats(0.0, arms.DISCHARGED_S - 0.01), max_size=3))
 def test_each_report_of_a_charged_striker_during_the_wait_delays_the_motion(
     name: str, gaps: list[float]

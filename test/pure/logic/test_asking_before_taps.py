@@ -87,7 +87,7 @@ def test_every_tap_of_a_goal_requires_confirmation(asked: Asked) -> None:
 
 
 @given(offset=st.integers(-5, 5).filter(bool))
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=settings.default.max_examples // 5)
 def test_an_answer_for_another_tap_fires_nothing(offset: int) -> None:
     asked = Asked(ASKING)
     asked.send()

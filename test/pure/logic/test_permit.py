@@ -134,7 +134,7 @@ delay = st.floats(0.0, 0.4)
 short = st.one_of(st.just(0.0), st.floats(0.0, 0.02), delay)
 
 
-@settings(max_examples=400)
+@settings(max_examples=4 * settings.default.max_examples)
 @given(
     to_arm=short,
     to_tapper=short,

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from tapping_cell.mechanics import Disk, InvalidBodyError, Polygon, Ring
@@ -20,7 +20,6 @@ def test_a_disk_and_a_ring_have_correct_moments_of_inertia():
     assert ring.inertia == pytest.approx(0.1 * 0.05**2)
 
 
-@settings(deadline=None)
 @given(st.floats(0.01, 1), st.floats(0.01, 1), st.floats(-5, 5), st.floats(-3, 3), st.booleans())
 def test_a_rectangle_has_correct_moments_in_any_position_and_order(a, b, offset, angle, flip):
     corners = np.array([(0, 0), (a, 0), (a, b), (0, b)])

@@ -127,7 +127,7 @@ directions = st.floats(-3, 3)
 bodies = st.sampled_from(list(BODIES.values()))
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=settings.default.max_examples // 5)
 @given(bodies, st.floats(0.3, 4.0), speeds, spins, directions)
 def test_launch_inverts_rest(body, kappa, speed, spin, direction):
     slide = Sliding(body, 0.17, kappa)
@@ -136,7 +136,7 @@ def test_launch_inverts_rest(body, kappa, speed, spin, direction):
     assert launch == pytest.approx((speed, spin), rel=1e-9)
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=settings.default.max_examples // 5)
 @given(bodies, speeds, spins, directions)
 def test_twist_for_inverts_displace(body, speed, spin, direction):
     slide = Sliding(body, 0.17, 2.0)
@@ -147,7 +147,7 @@ def test_twist_for_inverts_displace(body, speed, spin, direction):
     assert again[0, 2] == pytest.approx(moved[0, 2], rel=1e-9)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=settings.default.max_examples // 5)
 @given(speeds, spins, directions)
 def test_a_square_slides_alike_after_a_quarter_turn_and_in_a_mirror(speed, spin, direction):
     slide = Sliding(SQUARE, 0.17, 2.0)
@@ -160,7 +160,7 @@ def test_a_square_slides_alike_after_a_quarter_turn_and_in_a_mirror(speed, spin,
 
 
 @given(bodies, speeds, directions)
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=settings.default.max_examples // 5)
 def test_a_slide_without_spin_is_straight(body, speed, direction):
     rest = Sliding(body, 0.17).rest(speed, 0.0, direction)
     assert rest.distance == pytest.approx(speed**2 / (2 * 0.17 * G), rel=1e-5)

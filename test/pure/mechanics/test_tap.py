@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from tapping_cell import se2
@@ -64,7 +64,6 @@ def backed(poses, travel):
     poses,
     st.floats(0, 0.1),
 )
-@settings(deadline=None)
 def test_plan_then_outcome_is_the_identity(
     body, constraint, friction, kappa, mass, distance, direction, share, pose, standoff
 ):
@@ -133,7 +132,6 @@ def test_plan_then_outcome_is_the_identity_for_polygons(body, constraint):
 
 
 @given(poses, st.floats(-0.3, 0.3), st.floats(-0.3, 0.3), angles, st.floats(0.05, 2), poses)
-@settings(deadline=None)
 def test_moving_the_whole_scene_moves_the_outcome(held, x, y, beta, speed, scene):
     strike = (x, y, beta)
     assume(not PAPER.strike(held, strike, speed).missed)
@@ -145,7 +143,6 @@ def test_moving_the_whole_scene_moves_the_outcome(held, x, y, beta, speed, scene
 
 
 @given(st.floats(-0.2, 0.2), angles, st.floats(0.05, 2), st.sampled_from([DISK, SQUARE]))
-@settings(deadline=None, max_examples=40)
 def test_a_mirrored_strike_has_a_mirrored_outcome(y, beta, speed, body):
     tap = make(body)
     here = tap.strike((0, 0, 0), (-0.1, y, beta), speed)
@@ -202,7 +199,6 @@ def test_the_cone_of_the_paper_is_reproduced():
 
 
 @given(round_bodies, st.floats(0.05, 1.0), st.floats(0.2, 5.0), st.floats(0.002, 0.5))
-@settings(deadline=None)
 def test_the_cones_edge_is_the_same_at_any_distance(body, friction, kappa, distance):
     tap = make(body, friction, kappa=kappa)
     edge = tap.cone_slope * distance

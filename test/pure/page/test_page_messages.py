@@ -9,7 +9,7 @@ from urllib.parse import parse_qs, urlsplit
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from tapping_cell.nodes.page.ghost import Ghost
@@ -300,7 +300,6 @@ def test_the_arrow_keys_follow_the_image_axes(turns: int, right: int) -> None:
     st.floats(-math.pi, math.pi),
     st.integers(0, 2**32 - 1),
 )
-@settings(max_examples=20, deadline=None)
 def test_the_ellipse_holds_95_of_100_results(
     predicted: Pose, along: float, across: float, turn: float, seed: int
 ) -> None:

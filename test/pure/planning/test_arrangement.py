@@ -232,7 +232,7 @@ def test_an_object_does_not_return_to_where_it_blocks_another(kind: Kind) -> Non
     assert isinstance(move, Move) and (move.name, move.purpose) == ("o1", Purpose.TO_GOAL)
 
 
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=settings.default.max_examples // 5)
 @given(st.floats(0.0, 1.3e-3), st.floats(0.0, 6.3))
 def test_a_confirmed_object_is_not_tapped_for_one_noisy_observation(
     kind: Kind, off: float, direction: float
@@ -253,7 +253,7 @@ def test_a_confirmed_object_is_not_tapped_for_one_noisy_observation(
     assert ("o0" in session.finished) == (shifted.distance_to(goals[0]) <= 1e-3)
 
 
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=settings.default.max_examples // 5)
 @given(st.floats(-0.1, 0.1), st.floats(-1.5e-3, 1.5e-3))
 def test_an_object_that_leaves_its_goal_is_not_finished_while_another_one_is_moved(
     kind: Kind, turn: float, shift: float
@@ -284,7 +284,7 @@ def test_a_move_without_progress_is_deferred_until_another_object_has_moved(kind
     assert set(names) == {"o0", "o1"}
 
 
-@settings(max_examples=2, deadline=None)
+@settings(max_examples=settings.default.max_examples // 12)
 @given(st.integers(0, 2**16))
 def test_objects_reported_done_are_inside_the_tolerance_and_nothing_was_hit(
     kind: Kind, seed: int

@@ -8,7 +8,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from tapping_cell.configuration.assembly import make_fixed_space, make_planner_settings
@@ -47,7 +47,6 @@ def session(goal=(0.0, 0.0, 0.0), space: FixedStrikeSpace = SPACE) -> FixedTappe
 
 
 @given(x=st.floats(-0.05, 0.05), y=st.floats(-0.05, 0.05), theta=st.floats(-3.0, 3.0))
-@settings(max_examples=50, deadline=None)
 def test_a_disk_is_hit_where_its_line_passes(x: float, y: float, theta: float) -> None:
     """The lever arm of a line about the centre of a disk determines the contact and the direction
     of rotation."""
@@ -71,7 +70,6 @@ def test_a_disk_is_hit_where_its_line_passes(x: float, y: float, theta: float) -
 
 
 @given(distance=st.floats(0.002, 0.08), index=st.integers(0, 7))
-@settings(max_examples=30, deadline=None)
 def test_the_planned_speed_gives_the_planned_distance(distance: float, index: int) -> None:
     pose = np.array([0.005, -0.003, 0.4])
     plan = SPACE.plan(index, pose, distance)

@@ -3,7 +3,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from tapping_cell.planning import (
@@ -140,7 +140,6 @@ def test_a_tap_without_rotation_gives_no_information_about_rotation():
     assert gains.value[index] == pytest.approx(start.value[index], abs=1e-6)
 
 
-@settings(max_examples=60, deadline=None)
 @given(
     st.lists(st.tuples(*[st.floats(-0.2, 0.2)] * 6), min_size=1, max_size=12),
     st.floats(0.0, 0.3),

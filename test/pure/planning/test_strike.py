@@ -2,7 +2,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from tapping_cell.mechanics import Impact, Polygon, Sliding, Striker, Tap
@@ -36,7 +36,6 @@ def outline_gap(space, pose, tip):
     return min(gaps) - space.object_radius
 
 
-@settings(max_examples=60)
 @given(angles, angles, st.floats(0.002, 0.1), st.floats(-0.99, 0.99))
 def test_a_strike_from_its_standoff_gives_the_displacement(space, tap, turn, heading, size, share):
     pose = Pose(0.02, -0.03, turn)

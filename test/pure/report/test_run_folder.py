@@ -303,7 +303,7 @@ def test_residuals_use_the_shortest_rotation_and_decide_what_is_inside(
     assert not inside(goal, None, (1.0, 4.0))
 
 
-@settings(deadline=None, max_examples=8)
+@settings(max_examples=settings.default.max_examples // 5)
 @given(
     stops=st.lists(
         st.builds(Pose, st.floats(-0.2, 0.2), st.floats(-0.15, 0.15), st.floats(-3, 3)),

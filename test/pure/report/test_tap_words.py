@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from tapping_cell.report.animation import END_S, TAP_S, animation
@@ -100,7 +100,6 @@ places = st.builds(Pose, st.floats(-0.2, 0.2), st.floats(-0.15, 0.15), angles)
 
 
 @given(st.lists(places, min_size=2, max_size=6))
-@settings(max_examples=40, deadline=None)
 def test_the_animation_shows_every_pose_and_the_shortest_rotation(poses: list[Pose]) -> None:
     taps = tuple(
         tap(index + 1, before=before, measured=after)

@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from tapping_cell.mechanics import Body, Disk, Impact, Polygon, Ring, Striker
@@ -50,7 +50,6 @@ def collided(
     return motion, flight, time
 
 
-@settings(max_examples=60, deadline=None)
 @given(
     speed=st.floats(0.02, 2.0),
     incidence=st.floats(-1.2, 1.2),
@@ -92,7 +91,6 @@ def test_a_free_striker_launches_a_round_body_as_in_the_closed_form(
     assert momentum == pytest.approx(striker_mass * speed * direction, abs=1e-9)
 
 
-@settings(max_examples=60, deadline=None)
 @given(
     incidence=st.floats(-0.9, 0.9),
     along=st.floats(-0.03, 0.03),
@@ -155,7 +153,6 @@ def energetic(
     return p_n, p_t
 
 
-@settings(max_examples=30, deadline=None)
 @given(
     incidence=st.floats(-1.2, 1.2),
     stiffness=st.floats(0.1, 1.5),

@@ -31,7 +31,6 @@ def slide_of(
     return Slide(centred, grip, friction, body.inertia / body.mass)
 
 
-@settings(max_examples=20, deadline=None)
 @given(
     speed=st.floats(0.05, 0.8),
     spin=st.floats(-10.0, 10.0),
@@ -52,7 +51,7 @@ def test_a_uniform_body_slides_as_in_the_closed_forms(
     assert duration == pytest.approx(float(sliding.rest(speed, spin).duration), rel=0.01, abs=2e-3)
 
 
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=settings.default.max_examples // 5)
 @given(vx=st.floats(0.05, 0.5), spin=st.floats(-8.0, 8.0), anisotropy=st.floats(0.5, 2.0))
 def test_the_time_steps_are_short_enough_for_all_friction_laws_combined(
     vx: float, spin: float, anisotropy: float
@@ -86,7 +85,7 @@ def test_the_time_steps_are_short_enough_for_all_friction_laws_combined(
     assert 0.048 * abs(end.theta - exact[2]) < 2e-3 * way + 5e-6
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=settings.default.max_examples // 5)
 @given(speed=st.floats(0.02, 1.0), heading=st.floats(-3.0, 3.0), friction=st.floats(0.1, 0.5))
 def test_without_spin_it_is_a_straight_slide_of_v_squared_over_two_mu_g(
     speed: float, heading: float, friction: float
@@ -101,7 +100,7 @@ def test_without_spin_it_is_a_straight_slide_of_v_squared_over_two_mu_g(
     assert elapsed == pytest.approx(speed / (friction * GRAVITY), abs=1e-3)
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=settings.default.max_examples // 5)
 @given(vx=st.floats(-0.5, 0.5), vy=st.floats(-0.5, 0.5), spin=st.floats(-8.0, 8.0))
 def test_energy_never_increases(vx: float, vy: float, spin: float) -> None:
     body = Polygon(((0.04, 0.0), (0.0, 0.05), (-0.03, -0.02)), mass=0.3, height=0.01)

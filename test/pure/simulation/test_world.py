@@ -41,7 +41,7 @@ def settled(world: World) -> Pose:
     raise AssertionError("the object does not come to rest")
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=settings.default.max_examples // 5)
 @given(distance=st.floats(0.003, 0.08), heading=st.floats(-3.1, 3.1), share=st.floats(-0.9, 0.9))
 def test_a_world_without_errors_gives_the_planned_result(
     distance: float, heading: float, share: float
@@ -139,7 +139,7 @@ def test_a_placed_object_stays_where_it_was_placed() -> None:
     assert world.pose == pytest.approx((0.1, 0.1, 4.0 - 2 * math.pi))
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=settings.default.max_examples // 5)
 @given(gaps=st.lists(st.floats(0.0005, 0.05), min_size=5, max_size=60))
 def test_the_rest_pose_does_not_depend_on_the_observation_times(gaps: list[float]) -> None:
     tip = Pose(START.x - 0.07, START.y + 0.01, 0.1)

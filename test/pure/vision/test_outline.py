@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scenes import CAMERA, POSE, REFERENCES, between
 
@@ -67,7 +67,6 @@ def error(seen: Observation, pose: np.ndarray) -> np.ndarray:
 
 
 @given(count=st.integers(3, 9), size=st.floats(0.02, 0.1), turn=st.floats(0.0, 6.0))
-@settings(max_examples=25, deadline=None)
 def test_a_regular_polygon_has_as_many_symmetries_as_sides(count, size, turn):
     angle = turn + np.arange(count) * 2.0 * math.pi / count
     corners = tuple((size * math.cos(a), size * math.sin(a)) for a in angle)

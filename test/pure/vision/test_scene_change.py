@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scenes import CAMERA, DISK, MARKER, POSE, REFERENCES, renderer
 
@@ -87,7 +87,6 @@ def test_an_occlusion_is_detected_at_once(
     assert seen.visible == (where == "reference")
 
 
-@settings(max_examples=30)
 @given(
     noise=st.floats(0.5, 2.0),
     contrast=st.floats(120.0, 180.0),
