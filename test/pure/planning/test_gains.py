@@ -76,7 +76,7 @@ def test_the_error_matches_the_estimated_uncertainty():
     prior."""
     rng = np.random.default_rng(5)
     squares = []
-    for seed in range(300):
+    for seed in range(100):
         true = np.array(FILE) + rng.standard_normal(6) * [0.04, 0.06, 0.01, 0.001, 0.03, 0.03]
         gains = learn(true, 6, seed)
         squares.append((gains.value - true) ** 2 / gains.deviation**2)

@@ -88,12 +88,7 @@ def delay_of_rest(random: np.random.Generator, rate: float, lose: bool) -> float
 )
 def test_rest_within_150_ms_at_other_rates_frictions_and_with_a_frame_lost(rate, lose, share):
     random = np.random.default_rng(6)
-    delays = np.array([delay_of_rest(random, rate, lose) for _ in range(400)])
-    print(
-        f"{rate:.0f} Hz, {'a frame' if lose else 'none'} lost: median "
-        f"{np.median(delays) * 1e3:.0f} ms, p95 {np.quantile(delays, 0.95) * 1e3:.0f} ms, worst "
-        f"{delays.max() * 1e3:.0f} ms"
-    )
+    delays = np.array([delay_of_rest(random, rate, lose) for _ in range(100)])
     assert (delays <= 0.150).mean() >= share
     assert delays.max() <= 0.2
 

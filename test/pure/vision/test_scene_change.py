@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Collection
 from dataclasses import replace
@@ -38,12 +39,17 @@ class CountingTracker(PoseTracker):
         return super()._judge(image, stamp, others)
 
 
-@pytest.fixture
-def settled(scene: SceneRenderer) -> CountingTracker:
+@pytest.fixture(scope="module")
+def after_two_seconds(scene: SceneRenderer) -> CountingTracker:
     tracker = CountingTracker(CAMERA, REFERENCES, MARKER)
     for number in range(60):
         tracker.update(scene.render(HOME), number * FRAME)
     return tracker
+
+
+@pytest.fixture
+def settled(after_two_seconds: CountingTracker) -> CountingTracker:
+    return copy.deepcopy(after_two_seconds)
 
 
 def test_a_still_scene_is_measured_five_times_a_second(
