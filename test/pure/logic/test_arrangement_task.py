@@ -10,6 +10,7 @@ from functools import cache
 from typing import Any
 
 import pytest
+from logic_parts import goal_handling
 from test_objects_without_a_file import square_at
 from test_planner_with_played_devices import COVARIANCE, FAST, shipped
 from virtual_node import VirtualNode
@@ -25,7 +26,6 @@ from tapping_cell.logic.arrangement import (
 )
 from tapping_cell.logic.clock import Now
 from tapping_cell.logic.goal_handling import GoalHandling
-from tapping_cell.logic.other_objects import OtherObjects
 from tapping_cell.logic.planner import PlannerLogic, State
 from tapping_cell.logic.planner_settings import PlannerSettings
 from tapping_cell.logic.poses import from_message, to_message
@@ -68,18 +68,7 @@ def files() -> tuple[ObjectFile, ...]:
 @cache
 def handling() -> GoalHandling:
     cell, maps = shipped()
-    return GoalHandling(
-        cell,
-        "",
-        OtherObjects(files(), 5.0, 0.002),
-        Now(0.0, 0),
-        adapt=True,
-        probe=False,
-        keep_for="",
-        time_limit=600.0,
-        maps=maps,
-        solve_in_background=False,
-    )
+    return goal_handling(cell, "", files(), maps=maps, solve_in_background=False)
 
 
 class Table(VirtualNode):

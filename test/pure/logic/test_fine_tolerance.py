@@ -6,12 +6,12 @@ import math
 from dataclasses import replace
 
 import pytest
+from logic_parts import goal_handling
 
 from tapping_cell.configuration.cell import load_cell
 from tapping_cell.logic.clock import Now
-from tapping_cell.logic.goal_handling import GoalHandling, Request
+from tapping_cell.logic.goal_handling import Request
 from tapping_cell.logic.goal_validation import Refused
-from tapping_cell.logic.other_objects import OtherObjects
 from tapping_cell.logic.task import Task
 from tapping_cell.messages import (
     ArrangeObjects,
@@ -32,10 +32,7 @@ def answer(
 ) -> Task | Refused:
     cell = load_cell()
     cell = replace(cell, object=replace(cell.object, smallest_tap=smallest_tap))
-    others = OtherObjects((), 5.0, 0.002)
-    goals = GoalHandling(
-        cell, "exact", others, NOW, adapt=True, probe=False, keep_for="", time_limit=600.0
-    )
+    goals = goal_handling(cell, now=NOW)
     pose = Pose(position=Point(x=x, y=0.0, z=0.0), orientation=Quaternion(w=1.0))
     message = PoseStamped(header=Header(frame_id="table"), pose=pose)
     size = 1e-3 * tolerance_mm, math.radians(tolerance_mm)

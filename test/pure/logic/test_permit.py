@@ -11,12 +11,13 @@ from dataclasses import dataclass, field, replace
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from logic_parts import board_reply as board
 
 from tapping_cell.configuration.cell import load_cell
 from tapping_cell.hardware.faults import FaultReason, HardwareFault
 from tapping_cell.hardware.scara import Joints
 from tapping_cell.hardware.tapper import FireOutcome
-from tapping_cell.hardware.tapper_protocol import LONGEST_PULSE, Mode, Reply, Result
+from tapping_cell.hardware.tapper_protocol import LONGEST_PULSE
 from tapping_cell.hardware.tapper_protocol import State as BoardState
 from tapping_cell.logic import arm as arms
 from tapping_cell.logic import permit
@@ -44,25 +45,6 @@ CURVE = CELL.file.tapper.curve()
 
 def at(steady: float) -> Now:
     return Now(steady, round(1e9 * (1e9 + steady)))
-
-
-def board(state: BoardState, shot: int = 0) -> Reply:
-    return Reply(
-        session=1,
-        sequence=1,
-        result=Result.OK,
-        state=state,
-        shot=shot,
-        energy=0.0,
-        interlock_closed=True,
-        stop_latched=False,
-        last_fired=0,
-        speed=None,
-        boot=1,
-        time_ms=0,
-        mode=Mode.RUN,
-        enabled=False,
-    )
 
 
 @dataclass

@@ -12,13 +12,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from logic_parts import goal_handling
 from virtual_node import VirtualNode
 
 from tapping_cell.configuration.cell import Cell, load_cell
 from tapping_cell.configuration.files import shared_folder
 from tapping_cell.logic.clock import Now
 from tapping_cell.logic.goal_handling import GoalHandling
-from tapping_cell.logic.other_objects import OtherObjects
 from tapping_cell.logic.planner import PlannerLogic
 from tapping_cell.logic.planner_settings import PlannerSettings
 from tapping_cell.logic.poses import from_message, to_message
@@ -91,17 +91,9 @@ class Actors(VirtualNode):
         cell, maps = (cell, TableMaps(cell)) if cell is not None else shipped()
 
         def connect(_: Any, __: float, now: Now) -> GoalHandling:
-            return GoalHandling(
-                cell,
-                "",
-                OtherObjects((), 5.0, 0.002),
-                now,
-                adapt=True,
-                probe=False,
-                keep_for="",
-                time_limit=settings.goal_time_limit,
-                maps=maps,
-                solve_in_background=False,
+            limit = settings.goal_time_limit
+            return goal_handling(
+                cell, "", now=now, time_limit=limit, maps=maps, solve_in_background=False
             )
 
         super().__init__(
@@ -192,6 +184,21 @@ class Actors(VirtualNode):
         message.header.frame_id = "table"
         self.publish("goal_pose", message)
 
+    def ask(self, goal: Pose = GOAL, **rest: Any) -> list[PositionObject.Result]:
+        """Request a goal as an action; its result is added to the returned list."""
+        self.wait(lambda: self.states, "the planner is up")
+        self.run(0.3)
+        message = PoseStamped(pose=to_message(goal))
+        message.header.frame_id = "table"
+        results: list[PositionObject.Result] = []
+        request = PositionObject.Goal(goal_pose=message, **rest)
+        self.process.request("position_object", request, 1, results.append)
+        return results
+
+    def until(self, state: int) -> None:
+        """Wait until the planner is in this state."""
+        self.wait(lambda: self.plans[-1].state == state, f"plan state {state}")
+
     def end(self, patience: float = 60.0) -> PlanState:
         final = (PlanState.REACHED, PlanState.FAILED)
         self.wait(lambda: self.plans[-1].state in final, "the goal's end", patience)
@@ -234,12 +241,7 @@ def test_commands_plans_and_records_name_the_object(actors: Actors) -> None:
 
 
 def test_a_goal_for_an_object_that_the_cell_does_not_have_is_refused(actors: Actors) -> None:
-    actors.wait(lambda: actors.states, "the planner is up")
-    message = PoseStamped(pose=to_message(GOAL))
-    message.header.frame_id = "table"
-    results: list[PositionObject.Result] = []
-    asked = PositionObject.Goal(object_id="teapot", goal_pose=message)
-    actors.process.request("position_object", asked, 1, results.append)
+    results = actors.ask(object_id="teapot")
     actors.wait(lambda: results, "the result")
     assert results[0].error_code == ErrorCode.GOAL_UNKNOWN_OBJECT
     assert "'teapot'" in results[0].error_msg and shipped()[0].object.name in results[0].error_msg
@@ -309,7 +311,7 @@ def test_an_object_that_is_touched_before_the_shot_does_not_end_the_goal() -> No
 @pytest.mark.parametrize("variance", [math.nan, math.inf, -math.inf, 1e308, 1.5])
 def test_an_implausible_covariance_does_not_end_the_goal(actors: Actors, variance: float) -> None:
     actors.send()
-    actors.wait(lambda: actors.states[-1].state == PlanState.LOOKING, "it looks")
+    actors.until(PlanState.LOOKING)
     plausible = actors.covariance
     actors.covariance = [variance if row % 7 == 0 else 0.0 for row in range(36)]
     actors.run(0.5)
@@ -361,7 +363,7 @@ def test_a_stop_ends_the_goal_at_once_in_every_phase(actors: Actors, phase: int)
         actors.tapper_answers = None
     actors.run(0.6)
     actors.send()
-    actors.wait(lambda: actors.plans[-1].state == phase, "the phase")
+    actors.until(phase)
     actors.tapper_state, actors.tapper_error = TapperState.STOPPED, STOPPED
     actors.run(0.2)
     end = actors.plans[-1]
@@ -387,7 +389,7 @@ def test_a_stop_that_was_cleared_while_the_planner_was_frozen_ends_the_goal(
     actors.arm_withdraws = phase != PlanState.SETTLING
     actors.run(0.6)
     actors.send()
-    actors.wait(lambda: actors.plans[-1].state == phase, "the phase")
+    actors.until(phase)
     actors.last_stops[device] = Time(sec=7)
     actors.run(0.2)
     end, code = actors.plans[-1], getattr(ErrorCode, f"{device.upper()}_STOPPED")
@@ -406,7 +408,7 @@ def test_a_restarted_driver_that_was_not_stopped_ends_no_goal(actors: Actors) ->
     actors.visible = False
     actors.run(0.6)
     actors.send()
-    actors.wait(lambda: actors.plans[-1].state == PlanState.LOOKING, "the phase")
+    actors.until(PlanState.LOOKING)
     actors.last_stops = {"arm": Time(), "tapper": Time()}
     actors.run(0.2)
     assert actors.plans[-1].state == PlanState.LOOKING
@@ -419,7 +421,7 @@ def test_an_old_message_that_arrives_again_does_not_report_its_stop_again(actors
         actors.last_stops["arm"] = Time(sec=time)
         actors.run(0.2)
     actors.send()
-    actors.wait(lambda: actors.plans[-1].state == PlanState.LOOKING, "the phase")
+    actors.until(PlanState.LOOKING)
     for time in (5, 0, 7):
         actors.last_stops["arm"] = Time(sec=time)
         actors.run(0.1)
@@ -432,7 +434,7 @@ def test_an_old_message_that_arrives_again_does_not_report_its_stop_again(actors
 def test_a_goal_that_is_sent_before_the_stop_is_known_ends_at_once(actors: Actors) -> None:
     actors.tapper_active = False
     actors.send()
-    actors.wait(lambda: actors.plans[-1].state == PlanState.WAITING_FOR_CELL, "the goal")
+    actors.until(PlanState.WAITING_FOR_CELL)
     actors.tapper_state, actors.tapper_error = TapperState.STOPPED, STOPPED
     actors.tapper_active = True
     actors.run(0.2)
@@ -444,7 +446,7 @@ def test_an_arm_that_loses_its_reference_ends_the_goal_at_once(actors: Actors, p
     actors.arm_arrives = phase != PlanState.PLACING
     actors.arm_withdraws = False
     actors.send()
-    actors.wait(lambda: actors.plans[-1].state == phase, "the phase")
+    actors.until(phase)
     actors.arm_error = ErrorCode.ARM_NOT_HOMED, "the arm is not homed; home the arm"
     actors.arm_state = ArmState.NOT_HOMED
     actors.run(0.2)
@@ -481,14 +483,8 @@ def test_the_result_of_a_cancelled_goal_contains_a_tap_that_may_have_been_fired(
     actors.tapper_answers = reported
     reports: list[GoalReport] = []
     actors.network.subscribe("test", "goal_report", lambda _, report: reports.append(report))
-    message = PoseStamped(pose=to_message(GOAL))
-    message.header.frame_id = "table"
-    results: list[PositionObject.Result] = []
-    asked = PositionObject.Goal(goal_pose=message)
-    actors.wait(lambda: actors.states, "the planner is up")
-    actors.run(0.3)
-    actors.process.request("position_object", asked, 1, results.append)
-    actors.wait(lambda: actors.plans[-1].state == phase, "the phase")
+    results = actors.ask()
+    actors.until(phase)
     actors.process.request("cancel", None, 1, lambda _: None, waits=False)
     actors.wait(lambda: results, "the result")
     actors.run(0.1)
@@ -505,7 +501,7 @@ def test_a_shot_that_is_reported_after_its_tap_was_given_up_is_recorded(actors: 
     actors.wait(actors.taps, "a tap")
     first = actors.taps()[0]
     actors.pose, actors.at_rest = from_message(first.predicted_pose), False
-    actors.wait(lambda: actors.plans[-1].state == PlanState.LOOKING, "another observation")
+    actors.until(PlanState.LOOKING)
     actors.outcome = TapperState.FIRED
     actors.run(0.1)
     actors.arm_arrives = actors.at_rest = True
@@ -521,7 +517,7 @@ def test_a_tap_that_the_tapper_did_not_fire_is_not_recorded_if_the_object_was_mo
     actors.send()
     actors.wait(actors.taps, "a tap")
     actors.pose, actors.at_rest = Pose(-0.04, 0.03, 0.2), False
-    actors.wait(lambda: actors.plans[-1].state == PlanState.LOOKING, "another observation")
+    actors.until(PlanState.LOOKING)
     actors.outcome = TapperState.NOT_FIRED
     actors.run(0.1)
     actors.tap = None  # tapper_state of another tapper's node follows
@@ -731,12 +727,7 @@ def test_the_final_pose_is_that_of_the_decision(actors: Actors) -> None:
     name = shipped()[0].object.name
     earlier = ObjectStates(objects=[ObjectState(object_id=name)])
     actors.publish("object_states", earlier)
-    actors.wait(lambda: actors.states, "the planner is up")
-    actors.run(0.3)
-    request = PositionObject.Goal()
-    request.goal_pose.header.frame_id, request.goal_pose.pose = "table", to_message(GOAL)
-    results: list[PositionObject.Result] = []
-    actors.process.request("position_object", request, 1, results.append)
+    results = actors.ask()
     actors.wait(lambda: results, "the result")
     (result,) = results
     assert result.error_code == 0, result

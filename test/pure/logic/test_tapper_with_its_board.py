@@ -506,7 +506,7 @@ def test_a_stop_published_before_the_node_started_is_held() -> None:
 
 
 @pytest.mark.parametrize("withdrawn", ["before", "meanwhile", "never"])
-@pytest.mark.parametrize("moment", range(0, 20, 2))
+@pytest.mark.parametrize("moment", range(0, 20, 6))
 def test_a_frozen_tapper_recovers_automatically(withdrawn: str, moment: int) -> None:
     """The board has discharged by itself, so the state is known to be safe and nobody needs to
     clear a fault."""
