@@ -13,20 +13,26 @@ from tapping_cell.cli import main
 from tapping_cell.report.run_folder import write_folder
 
 
-@pytest.fixture
-def runs(tmp_path: Path) -> Path:
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Write three runs as a recorder does, and the folder of the nodes' logs."""
+    root = tmp_path_factory.mktemp("written")
     for name, made in (
         ("good", MadeRun(STOPS)),
         ("bad", MadeRun(STOPS, state=8, code=503, sentence="alarm")),
         ("refused", MadeRun(STOPS[:1], refused=True, state=8, code=103, sentence="off")),
     ):
-        folder = tmp_path / "runs" / name
-        folder.mkdir(parents=True)
+        folder = root / name
+        folder.mkdir()
         made.write(folder)
         write_folder(folder, pictures=False)
-    (tmp_path / "runs" / "up").mkdir()
-    return tmp_path / "runs"
+    (root / "up").mkdir()
+    return root
+
+
+@pytest.fixture
+def runs(written: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(written, tmp_path / "runs"))
 
 
 def test_a_run_is_reported_again_with_and_without_its_bag(

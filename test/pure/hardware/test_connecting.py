@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hardware_faults import expect_fault
 
 from tapping_cell.hardware.arm import ArmDriver
 from tapping_cell.hardware.arm_settings import HomingStrategy
@@ -69,9 +70,8 @@ def test_settings_that_allow_the_moves_are_accepted() -> None:
 def test_a_grbl_with_other_settings_is_refused_with_both_values(
     setting: str, value: float, words: str
 ) -> None:
-    with pytest.raises(HardwareFault, match=words) as caught:
+    with expect_fault(FaultReason.SETTINGS_MISMATCH, words):
         grbl(MILD, **{setting: value}).connect()
-    assert caught.value.reason is FaultReason.SETTINGS_MISMATCH
 
 
 def test_soft_limits_of_grbl_count_only_if_enabled() -> None:
@@ -104,9 +104,8 @@ def test_soft_limits_of_grbl_count_only_if_enabled() -> None:
 def test_a_marlin_with_other_settings_is_refused_with_both_values(
     change: dict[str, object], words: str
 ) -> None:
-    with pytest.raises(HardwareFault, match=words) as caught:
+    with expect_fault(FaultReason.SETTINGS_MISMATCH, words):
         marlin(MILD, replace(MarlinMachine(), **change)).connect()  # type: ignore[arg-type]
-    assert caught.value.reason is FaultReason.SETTINGS_MISMATCH
 
 
 def without_first(board: ArmEmulator, lost: bytes) -> None:
@@ -214,9 +213,8 @@ def test_a_marlin_silent_after_reconnection_requires_its_reset_button() -> None:
     board.receive(b"M112\n", line.now())
     driver.close()
     for _ in range(2):
-        with pytest.raises(HardwareFault, match="press the reset button") as caught:
+        with expect_fault(FaultReason.NEEDS_PERSON, "press the reset button"):
             driver.connect(2.0)
-        assert caught.value.reason is FaultReason.NEEDS_PERSON
         assert not line.is_open
     board.power_cycle(line.now())
     assert not driver.connect().continued
@@ -318,9 +316,8 @@ def test_a_stop_before_the_port_is_open_ends_the_move_of_an_earlier_process(
     driver = ArmDriver(line, type(earlier._dialect)(line), ScaraGeometry())
     if latched:
         assert not driver.stop()
-        with pytest.raises(HardwareFault) as caught:
+        with expect_fault(FaultReason.STOPPED):
             driver.connect()
-        assert caught.value.reason is FaultReason.STOPPED
     else:
         driver.stop_when_opened()
         driver.connect()

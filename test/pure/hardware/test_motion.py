@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from hardware_faults import expect_fault
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
@@ -107,9 +108,8 @@ def test_no_withdrawal_is_needed_from_the_park_pose() -> None:
 
 
 def test_out_of_reach_is_refused_with_a_message() -> None:
-    with pytest.raises(HardwareFault, match="beyond the reach of 800.0 mm") as caught:
+    with expect_fault(FaultReason.UNREACHABLE, "beyond the reach of 800.0 mm"):
         strike_path(GEOMETRY, SETTINGS.park, TipPose(1.2, 0, 0.01, 0), SETTINGS)
-    assert caught.value.reason is FaultReason.UNREACHABLE
 
 
 @given(joint_values, joint_values, st.floats(0.05, 1.0))
@@ -182,9 +182,8 @@ def test_durations_of_many_strike_paths_match_each_single_path(
     ],
 )
 def test_limits_are_reported_with_a_message(joints: tuple[float, ...], words: str) -> None:
-    with pytest.raises(HardwareFault, match=words) as caught:
+    with expect_fault(FaultReason.OUT_OF_RANGE, words):
         check_limits(GEOMETRY, joints)
-    assert caught.value.reason is FaultReason.OUT_OF_RANGE
 
 
 def test_settings_are_checked() -> None:

@@ -8,6 +8,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from hardware_faults import expect_fault
 from hypothesis import example, given
 from hypothesis import strategies as st
 from trajectory_controller import ControllerSettings, TrajectoryController
@@ -208,9 +209,8 @@ def test_the_arm_moves_to_its_target_and_rests_there(cell: Cell) -> None:
 
 def test_nothing_moves_before_it_is_homed(cell: Cell) -> None:
     cell.driver.connect()
-    with pytest.raises(HardwareFault) as caught:
+    with expect_fault(FaultReason.NOT_HOMED):
         cell.driver.move_to(GOAL)
-    assert caught.value.reason is FaultReason.NOT_HOMED
     assert cell.controller.taken == 0
 
 
@@ -240,9 +240,8 @@ def test_a_stop_brakes_and_latches(cell: Cell, after: float) -> None:
     driver = cell.ready()
     stops: list[tuple[float, bool]] = []
     cell.after(after, lambda: stops.append((cell.time, driver.stop())))
-    with pytest.raises(HardwareFault) as stopped:
+    with expect_fault(FaultReason.STOPPED):
         driver.move_to(GOAL)
-    assert stopped.value.reason is FaultReason.STOPPED
     ((at, sent),) = stops
     assert sent
     longest = max(v / a for v, a in zip(GEOMETRY.max_speed, GEOMETRY.max_acceleration, strict=True))
@@ -252,9 +251,8 @@ def test_a_stop_brakes_and_latches(cell: Cell, after: float) -> None:
     with pytest.raises(HardwareFault):
         driver.move_to(GOAL)
     driver.clear_fault()
-    with pytest.raises(HardwareFault) as unhomed:
+    with expect_fault(FaultReason.NOT_HOMED):
         driver.move_to(GOAL)
-    assert unhomed.value.reason is FaultReason.NOT_HOMED
     assert close(cell.truth(), here), "something moved before it was homed again"
     driver.home(HomingStrategy.NONE)
     assert close(driver.move_to(GOAL).joints, GOAL)
@@ -268,9 +266,8 @@ def test_a_joint_state_timeout_is_a_fault_with_a_message(cell: Cell, when: float
         cell.link.faults.silent = True
     else:
         cell.after(when, lambda: setattr(cell.link.faults, "silent", True))
-    with pytest.raises(HardwareFault, match="joint_state_broadcaster") as caught:
+    with expect_fault(FaultReason.DISCONNECTED, "joint_state_broadcaster"):
         driver.move_to(GOAL)
-    assert caught.value.reason is FaultReason.DISCONNECTED
     assert cell.time - began - max(when, 0) < 0.6
     assert not driver.connected
 
@@ -285,9 +282,8 @@ def test_old_stamps_are_distinguished_from_a_timeout(cell: Cell) -> None:
 
 def test_a_clock_that_is_ahead_is_refused_at_connect(cell: Cell) -> None:
     cell.link.faults.ahead = 0.4
-    with pytest.raises(HardwareFault, match="synchronise the clocks") as caught:
+    with expect_fault(FaultReason.SETTINGS_MISMATCH, "synchronise the clocks"):
         cell.driver.connect()
-    assert caught.value.reason is FaultReason.SETTINGS_MISMATCH
 
 
 def test_slow_joint_states_are_refused_at_connect() -> None:
@@ -303,9 +299,8 @@ def test_unexpected_joints_are_named(cell: Cell) -> None:
 
 def test_a_missing_controller_is_reported(cell: Cell) -> None:
     cell.link.faults.present = False
-    with pytest.raises(HardwareFault) as caught:
+    with expect_fault(FaultReason.PORT_MISSING):
         cell.driver.connect(timeout=1.0)
-    assert caught.value.reason is FaultReason.PORT_MISSING
 
 
 def test_an_obstacle_stops_the_arm(cell: Cell) -> None:
@@ -331,9 +326,8 @@ def test_a_motion_by_another_program_at_rest_is_detected(cell: Cell) -> None:
     driver.move_to(GOAL)
     cell.controller.push((0.01, 0.0, 0.0, 0.0), cell.time)
     cell.sleep(0.2)
-    with pytest.raises(HardwareFault, match="it was moved") as caught:
+    with expect_fault(FaultReason.POSITION_LOST, "it was moved"):
         driver.move_to(Joints(*START))
-    assert caught.value.reason is FaultReason.POSITION_LOST
 
 
 def test_the_move_fails_if_another_program_takes_the_controller() -> None:
@@ -358,9 +352,8 @@ def test_a_reduced_speed_override_is_waited_for_with_a_limit(cell: Cell) -> None
     assert close(slow.ready().move_to(GOAL).joints, GOAL)
     slower = Cell(speed_scaling=0.1)
     driver = slower.ready()
-    with pytest.raises(HardwareFault, match="had not ended") as caught:
+    with expect_fault(FaultReason.TIMEOUT, "had not ended"):
         driver.move_to(GOAL)
-    assert caught.value.reason is FaultReason.TIMEOUT
     slower.sleep(4.0)
     assert not slower.controller.moving(slower.time)
 
@@ -385,9 +378,8 @@ def test_a_nan_joint_value_is_a_lost_position(cell: Cell) -> None:
     driver = cell.ready()
     cell.controller.push((math.nan, 0.0, 0.0, 0.0), cell.time)
     cell.sleep(0.2)
-    with pytest.raises(HardwareFault, match="hardware is not active") as caught:
+    with expect_fault(FaultReason.POSITION_LOST, "hardware is not active"):
         driver.read()
-    assert caught.value.reason is FaultReason.POSITION_LOST
     assert not driver.homed
 
 

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import cast
 
 import pytest
+from hardware_faults import expect_fault
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -194,9 +195,8 @@ def test_an_unreachable_board_closes_all_boards() -> None:
 
 
 def test_a_channel_of_a_board_that_does_not_exist_is_refused() -> None:
-    with pytest.raises(HardwareFault) as met:
+    with expect_fault(FaultReason.SETTINGS_MISMATCH):
         device(Board(reply())).charge(1, 0.1, channel=CHANNELS_PER_BOARD)
-    assert met.value.reason is FaultReason.SETTINGS_MISMATCH
 
 
 def test_the_ports_of_further_boards_are_numbered() -> None:

@@ -132,7 +132,7 @@ def test_the_number_of_taps_counts_over_a_crash() -> None:
 def test_the_limit_of_taps_holds_over_crashes() -> None:
     actors = Actors(replace(FAST, attempts=100))
     actors.moves_when_fired = False
-    actors.ask(FAR, max_taps=4)
+    actors.request_goal(FAR, max_taps=4)
     for crash in range(1, 4):
         actors.wait(lambda crash=crash: len(actors.taps()) == crash, "a tap")
         actors.process.kill()

@@ -184,7 +184,7 @@ class Actors(VirtualNode):
         message.header.frame_id = "table"
         self.publish("goal_pose", message)
 
-    def ask(self, goal: Pose = GOAL, **rest: Any) -> list[PositionObject.Result]:
+    def request_goal(self, goal: Pose = GOAL, **rest: Any) -> list[PositionObject.Result]:
         """Request a goal as an action; its result is added to the returned list."""
         self.wait(lambda: self.states, "the planner is up")
         self.run(0.3)
@@ -241,7 +241,7 @@ def test_commands_plans_and_records_name_the_object(actors: Actors) -> None:
 
 
 def test_a_goal_for_an_object_that_the_cell_does_not_have_is_refused(actors: Actors) -> None:
-    results = actors.ask(object_id="teapot")
+    results = actors.request_goal(object_id="teapot")
     actors.wait(lambda: results, "the result")
     assert results[0].error_code == ErrorCode.GOAL_UNKNOWN_OBJECT
     assert "'teapot'" in results[0].error_msg and shipped()[0].object.name in results[0].error_msg
@@ -483,7 +483,7 @@ def test_the_result_of_a_cancelled_goal_contains_a_tap_that_may_have_been_fired(
     actors.tapper_answers = reported
     reports: list[GoalReport] = []
     actors.network.subscribe("test", "goal_report", lambda _, report: reports.append(report))
-    results = actors.ask()
+    results = actors.request_goal()
     actors.until(phase)
     actors.process.request("cancel", None, 1, lambda _: None, waits=False)
     actors.wait(lambda: results, "the result")
@@ -727,7 +727,7 @@ def test_the_final_pose_is_that_of_the_decision(actors: Actors) -> None:
     name = shipped()[0].object.name
     earlier = ObjectStates(objects=[ObjectState(object_id=name)])
     actors.publish("object_states", earlier)
-    results = actors.ask()
+    results = actors.request_goal()
     actors.wait(lambda: results, "the result")
     (result,) = results
     assert result.error_code == 0, result
