@@ -473,14 +473,7 @@ def test_error_codes_are_one_numbered_list():
     codes = re.findall(r"^uint16 ([A-Z_]+) = (\d+) +#", text, re.MULTILINE)
     assert len(codes) > 50
     assert len({name for name, _ in codes}) == len({number for _, number in codes}) == len(codes)
-    hundreds = {
-        "CONFIGURATION": 2,
-        "CAMERA": 3,
-        "OBJECT": 3,
-        "ARM": 5,
-        "TAPPER": 6,
-        "GOAL": 1,
-    }
+    hundreds = {"CONFIGURATION": 2, "CAMERA": 3, "OBJECT": 3, "ARM": 5, "TAPPER": 6, "GOAL": 1}
     for name, number in codes:
         family = name.split("_")[0]
         assert int(number) // 100 == hundreds.get(family, int(number) // 100), name

@@ -29,8 +29,6 @@ def test_growth_of_any_resource_is_detected() -> None:
 
 
 @pytest.mark.parametrize("arguments", [["--soak", "0"], ["--taps", "0"]], ids=lambda a: " ".join(a))
-def test_invalid_numbers_are_refused(
-    arguments: list[str], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_invalid_numbers_are_refused(arguments, capsys):
     assert main(["faults", *arguments]) == 2
     assert "must be" in capsys.readouterr().err

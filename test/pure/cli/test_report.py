@@ -35,9 +35,7 @@ def runs(written: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(written, tmp_path / "runs"))
 
 
-def test_a_run_is_reported_again_with_and_without_its_bag(
-    runs: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_run_is_reported_again_with_and_without_its_bag(runs, capsys):
     folder = runs / "good"
     (folder / "summary.json").unlink()
     assert main(["report", str(folder)]) == 0
@@ -73,9 +71,7 @@ def test_runs_are_compared(runs: Path, capsys: pytest.CaptureFixture[str]) -> No
     assert "3 runs, 1 reached their goal" in page and 'href="../good/report.html"' in page
 
 
-def test_files_that_are_no_bags_are_skipped_among_several_paths(
-    runs: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_files_that_are_no_bags_are_skipped_among_several_paths(runs, capsys):
     for _ in range(2):  # the first comparison is one of the paths of the second
         assert main(["report", *(str(path) for path in sorted(runs.iterdir()))]) == 0
     output = " ".join(capsys.readouterr().out.split())
@@ -85,9 +81,7 @@ def test_files_that_are_no_bags_are_skipped_among_several_paths(
     assert main(["report", str(runs / "nowhere.html"), str(runs / "good")]) == 1
 
 
-def test_an_invalid_run_folder_is_refused_with_a_message(
-    runs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_invalid_run_folder_is_refused_with_a_message(runs, tmp_path, capsys):
     assert main(["report", str(runs / "up")]) == 2
     assert main(["report", str(tmp_path / "nowhere")]) == 2
     (tmp_path / "text.mcap").write_text("hello")

@@ -177,14 +177,8 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.parametrize(("line", "words"), WRONG, ids=[f"{a} ({b})" for a, b in WRONG])
 def test_invalid_input_is_refused_in_one_sentence(
-    line: str,
-    words: str,
-    hardware_cell: Path,
-    files: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+    line, words, hardware_cell, files, tmp_path, monkeypatch, capsys
+):
     monkeypatch.chdir(tmp_path)
     line = line.replace("HARDWARE", str(hardware_cell)).replace("FILES", str(files))
     monkeypatch.setattr(subprocess, "Popen", lambda command, **_: pytest.fail(f"{command} began"))

@@ -38,9 +38,7 @@ def test_random_faults(dialect: Dialect) -> None:
     ("dialect", "seed"),
     [(Dialect.MARLIN, 1_000_003), (Dialect.GRBL, 1_000_048), (Dialect.MARLIN, 2_000_073)],
 )
-def test_seeds_that_once_gave_a_false_report_or_an_unreset_board(
-    dialect: Dialect, seed: int
-) -> None:
+def test_seeds_that_once_gave_a_false_report_or_an_unreset_board(dialect, seed):
     """Regression tests for three cases: one line number was used for two lines; a wrong bit changed
     a move line to G92; after a corrupted answer to M115, a stop halted the board while its cable
     was disconnected."""
@@ -159,9 +157,7 @@ TO = Direction.TO_DEVICE
         (LineFault(FaultKind.RESET, TO, 2), (0.0,), [b"23456789"]),
     ],
 )
-def test_each_fault_has_its_stated_effect(
-    fault: LineFault, times: tuple[float, ...], out: list[bytes]
-) -> None:
+def test_each_fault_has_its_stated_effect(fault, times, out):
     assert through(fault, *times) == out
 
 

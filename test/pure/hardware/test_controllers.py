@@ -269,9 +269,7 @@ def test_a_moving_arm_is_not_homed_if_the_operator_must_place_its_tool() -> None
 
 
 @pytest.mark.parametrize("name", GRBL_NAMES)
-def test_a_controller_moving_after_an_unplug_is_connected_once_it_is_at_rest(
-    name: str,
-) -> None:
+def test_a_controller_moving_after_an_unplug_is_connected_once_it_is_at_rest(name):
     """Grbl answers ``$I`` and ``$$`` only at rest, as measured with grblHAL's simulator."""
     cell = ControllerCell(name)
     driver = cell.ready()

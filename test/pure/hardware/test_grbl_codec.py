@@ -104,9 +104,7 @@ def test_fragments_give_the_same_result_as_the_whole(parts: list[bytes], cuts: l
 
 
 @given(positions, st.floats(0.01, 99999))
-def test_a_move_line_is_short_and_states_every_mode(
-    position: tuple[float, ...], feed: float
-) -> None:
+def test_a_move_line_is_short_and_states_every_mode(position, feed):
     line = grbl.move_line("XYZA", position, feed)
     assert line.startswith(b"G21G90G94G1X") and line.endswith(b"\n")
     assert len(line) <= 80

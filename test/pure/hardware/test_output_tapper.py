@@ -232,9 +232,7 @@ FAULTS = st.sampled_from(
     st.booleans(),
     st.lists(st.tuples(FAULTS, st.floats(1e-4, 4e-2), st.floats(0.0, 0.06)), max_size=6),
 )
-def test_no_failure_causes_a_second_shot_or_a_false_report(
-    interface: str, reads_back: bool, plan: list[tuple[str, float, float]]
-) -> None:
+def test_no_failure_causes_a_second_shot_or_a_false_report(interface, reads_back, plan):
     cell = Cell(interface, reads_back)
     for number, (fault, energy, when) in enumerate(plan, start=1):
         faults = cell.device.faults

@@ -87,9 +87,7 @@ speeds = st.floats(0.05, 1.0)
 
 
 @given(joints, joints, speeds)
-def test_a_move_respects_the_limits_and_takes_the_least_time(
-    start: tuple[float, ...], goal: tuple[float, ...], speed: float
-) -> None:
+def test_a_move_respects_the_limits_and_takes_the_least_time(start, goal, speed):
     """Check samples of the motion that the emulated controller interpolates between the points of
     the driver. The samples are computed independently of the driver's formulas."""
     duration = move_duration(GEOMETRY, start, goal, speed)
@@ -119,15 +117,8 @@ def test_a_move_respects_the_limits_and_takes_the_least_time(
 
 
 @example(0.0625, 0.0625, 0.0518036, 0.05)
-@given(
-    st.floats(0.02, 0.12),
-    st.floats(0.02, 0.12),
-    st.floats(0.05, 0.25),
-    st.floats(0.05, 0.25),
-)
-def test_collinear_moves_are_joined_without_a_stop_at_maximum_speed(
-    first: float, second: float, fast: float, slow: float
-) -> None:
+@given(st.floats(0.02, 0.12), st.floats(0.02, 0.12), st.floats(0.05, 0.25), st.floats(0.05, 0.25))
+def test_collinear_moves_are_joined_without_a_stop_at_maximum_speed(first, second, fast, slow):
     pull = GEOMETRY.max_acceleration[2]
     start = (0.1, 0.2, 0.0, 0.3)
     via = (0.1, 0.2, -first, 0.3)
@@ -182,16 +173,11 @@ def test_the_descent_does_not_stop_where_it_slows_down() -> None:
 
 
 @given(joints, st.tuples(*(st.floats(-v, v) for v in GEOMETRY.max_speed)))
-def test_braking_respects_the_deceleration_limit(
-    place: tuple[float, ...], speed: tuple[float, ...]
-) -> None:
+def test_braking_respects_the_deceleration_limit(place, speed):
     point = brake_point(place, speed, GEOMETRY.max_acceleration)
     assert point.velocities == (0.0,) * 4
     for v, way, a in zip(
-        speed,
-        np.array(point.positions) - np.array(place),
-        GEOMETRY.max_acceleration,
-        strict=True,
+        speed, np.array(point.positions) - np.array(place), GEOMETRY.max_acceleration, strict=True
     ):
         assert way == pytest.approx(v * point.time / 2, abs=1e-12)
         assert abs(v) / point.time <= a * (1 + 1e-9)
@@ -396,9 +382,7 @@ def test_a_nan_joint_value_is_a_lost_position(cell: Cell) -> None:
         max_size=3,
     ),
 )
-def test_success_always_means_at_the_target_and_at_rest(
-    by_action: bool, plan: list[tuple[tuple[float, ...], float, str, float]]
-) -> None:
+def test_success_always_means_at_the_target_and_at_rest(by_action, plan):
     cell = Cell(by_action)
     driver = cell.ready()
     faults = cell.link.faults

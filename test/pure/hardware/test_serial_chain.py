@@ -70,9 +70,7 @@ def test_forward_kinematics_agree_with_the_drawing(joints: tuple[float, ...]) ->
 
 
 @given(JOINT_VALUES, st.lists(st.floats(-0.15, 0.15), min_size=6, max_size=6))
-def test_inverse_kinematics_reach_nearby_reachable_poses(
-    joints: tuple[float, ...], away: list[float]
-) -> None:
+def test_inverse_kinematics_reach_nearby_reachable_poses(joints, away):
     inside = 0.9 * np.array(joints)
     if abs(inside[4]) < 0.1:
         inside[4] = 0.1  # a straight wrist is singular
@@ -105,10 +103,7 @@ class Cell:
     """An emulated controller of six joints and the driver, in virtual time."""
 
     def __init__(
-        self,
-        start: tuple[float, ...],
-        by_action: bool = False,
-        arm: ArmSection = CELL.arm,
+        self, start: tuple[float, ...], by_action: bool = False, arm: ArmSection = CELL.arm
     ) -> None:
         self.time = 100.0
         self.events: list[tuple[float, Callable[[], object]]] = []
@@ -274,8 +269,6 @@ URDF = (Path(__file__).parents[3] / "examples" / "six_axis_cell" / "six_axis_arm
         (URDF.replace('"revolute"', '"floating"', 1), "base_link", "flange", NAMES, "floating"),
     ],
 )
-def test_an_incompatible_urdf_is_refused_with_a_message(
-    text: str, base: str, tip: str, names: tuple[str, ...], words: str
-) -> None:
+def test_an_incompatible_urdf_is_refused_with_a_message(text, base, tip, names, words):
     with pytest.raises(ValueError, match=words):
         chain_from_urdf(text, base, tip, names, np.eye(4), np.eye(4))

@@ -92,9 +92,7 @@ replies = st.builds(
 
 
 @given(st.lists(replies, min_size=1, max_size=3), st.integers(0, 3))
-def test_a_board_is_charged_and_fired_only_while_all_others_are_at_rest(
-    others: list[Reply], place: int
-) -> None:
+def test_a_board_is_charged_and_fired_only_while_all_others_are_at_rest(others, place):
     board = min(place, len(others))
     boards = [Board(one) for one in [*others[:board], reply(), *others[board:]]]
     rest = all(
@@ -143,9 +141,7 @@ class SlowBoard(Board):
 
 @pytest.mark.parametrize("late", [True, False])
 @pytest.mark.parametrize("allowed", [True, False])
-def test_replies_of_the_other_boards_that_are_too_old_are_named_as_the_cause(
-    late: bool, allowed: bool
-) -> None:
+def test_replies_of_the_other_boards_that_are_too_old_are_named_as_the_cause(late, allowed):
     cell = device(SlowBoard(OTHERS_ASKED_S + (0.05 if late else -0.05)), Board(reply()))
     result = cell.fire(100, 0.04, lambda _: allowed)
     assert (result.outcome is FireOutcome.FIRED) == (allowed and not late)

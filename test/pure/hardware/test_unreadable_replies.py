@@ -85,9 +85,7 @@ def test_a_tapper_at_another_baud_rate_never_looks_like_a_tapper(rate: int) -> N
 
 @given(st.sampled_from(DIALECTS), st.integers(1, 8), st.integers(0, 2))
 @example("marlin", 6, 0)  # the damage to the line ends leaves only two lines
-def test_interference_on_the_line_of_a_connected_arm_is_reported(
-    dialect: str, digits: int, phase: int
-) -> None:
+def test_interference_on_the_line_of_a_connected_arm_is_reported(dialect, digits, phase):
     line = Line(board_of(dialect))
     driver = arm_on(line, dialect, 10**digits - 10**digits // 3)
     driver.connect()

@@ -180,9 +180,7 @@ def test_an_invalid_command_moves_nothing(cell: Cell, strike: Pose, frame: str) 
     assert cell.last.state == ArmState.IDLE
 
 
-def test_an_unreachable_pose_ends_the_tap_with_a_message_and_the_next_tap_is_served(
-    cell: Cell,
-) -> None:
+def test_an_unreachable_pose_ends_the_tap_with_a_message_and_the_next_tap_is_served(cell):
     cell.command(100, Pose(0.0, -3.0, 0.0))
     cell.wait(lambda: cell.last.error_code == ErrorCode.ARM_OUT_OF_REACH, "the refusal")
     assert "reach" in cell.last.error_msg
@@ -296,9 +294,7 @@ MOTIONS: dict[str, Callable[[Cell], object]] = {
 
 
 @pytest.mark.parametrize("motion", MOTIONS)
-def test_a_motion_that_waits_for_the_striker_does_not_begin_after_the_deactivation(
-    cell: Cell, motion: str
-) -> None:
+def test_a_motion_that_waits_for_the_striker_does_not_begin_after_the_deactivation(cell, motion):
     cell.place(100)
     cell.retreat(100)
     cell.publish("tapper_state", TapperState(tap_id=100, state=TapperState.CHARGED))
@@ -508,9 +504,7 @@ def test_a_vanished_stop_source_is_remembered_until_the_reset(cell: Cell) -> Non
     assert cell.last.state == ArmState.STOPPED
 
 
-def test_a_second_request_to_clear_before_the_first_is_answered_is_no_confirmation(
-    cell: Cell,
-) -> None:
+def test_a_second_request_to_clear_before_the_first_is_answered_is_no_confirmation(cell):
     stop_and_leave(cell)
     cell.run(0.5)
     cell.ask("~/clear_fault")

@@ -241,9 +241,7 @@ def test_a_confirmation_given_while_the_camera_is_late_is_kept(asked: Asked) -> 
     ],
     ids=["moved", "turned", "old", "interlock"],
 )
-def test_a_repeated_proposal_gives_its_reason(
-    step: tuple[float, float, float], wait: float, code: int, word: str
-) -> None:
+def test_a_repeated_proposal_gives_its_reason(step, wait, code, word):
     asked = Asked(replace(ASKING, withdraw_deadline=60.0))
     asked.tapper_answers, asked.tapper_error = TapperState.NOT_FIRED, (code, "the interlock")
     asked.send()

@@ -388,9 +388,7 @@ def test_a_goal_received_before_the_node_is_configured_is_refused() -> None:
 
 
 @pytest.mark.parametrize(("kept", "asks"), [({"ask": False}, False), ({"ask": True}, True)])
-def test_asking_that_was_switched_on_before_the_crash_can_be_switched_off(
-    kept: dict[str, Any], asks: bool
-) -> None:
+def test_asking_that_was_switched_on_before_the_crash_can_be_switched_off(kept, asks):
     """A goal that itself demands a confirmation still asks."""
     logic, made = started({**GOAL, **kept, "ask_always": True})
     assert logic.last.ask

@@ -65,11 +65,7 @@ class Actors(VirtualNode):
     """Simulated camera, arm and tapper. Each device behaves normally unless a test changes its
     behaviour."""
 
-    def __init__(
-        self,
-        settings: PlannerSettings = FAST,
-        cell: Cell | None = None,
-    ) -> None:
+    def __init__(self, settings: PlannerSettings = FAST, cell: Cell | None = None) -> None:
         self.pose = START
         self.moves_when_fired = True
         self.tip = Pose(0.0, 0.0, 0.0)
@@ -379,9 +375,7 @@ def test_a_stop_ends_the_goal_at_once_in_every_phase(actors: Actors, phase: int)
 @pytest.mark.parametrize(
     "phase", [PlanState.WAITING_FOR_CELL, PlanState.LOOKING, PlanState.SETTLING]
 )
-def test_a_stop_that_was_cleared_while_the_planner_was_frozen_ends_the_goal(
-    actors: Actors, phase: int, device: str
-) -> None:
+def test_a_stop_that_was_cleared_while_the_planner_was_frozen_ends_the_goal(actors, phase, device):
     """The planner receives only the last state of arm and tapper, which no longer is STOPPED."""
     actors.last_stops = {"arm": Time(sec=5), "tapper": Time(sec=6)}
     actors.visible = phase != PlanState.LOOKING
@@ -510,9 +504,7 @@ def test_a_shot_that_is_reported_after_its_tap_was_given_up_is_recorded(actors: 
     assert (record.tap_id, record.outcome) == (first.tap_id, TapperState.FIRED)
 
 
-def test_a_tap_that_the_tapper_did_not_fire_is_not_recorded_if_the_object_was_moved(
-    actors: Actors,
-) -> None:
+def test_a_tap_that_the_tapper_did_not_fire_is_not_recorded_if_the_object_was_moved(actors):
     actors.arm_arrives = False
     actors.send()
     actors.wait(actors.taps, "a tap")
@@ -527,9 +519,7 @@ def test_a_tap_that_the_tapper_did_not_fire_is_not_recorded_if_the_object_was_mo
     assert end.state == PlanState.REACHED and end.taps == len(actors.taps()) - 1
 
 
-def test_after_an_unknown_outcome_the_object_is_observed_and_the_tap_not_repeated(
-    actors: Actors,
-) -> None:
+def test_after_an_unknown_outcome_the_object_is_observed_and_the_tap_not_repeated(actors):
     actors.tapper_answers = TapperState.UNKNOWN
     actors.send()
     assert actors.end().state == PlanState.REACHED
@@ -537,9 +527,7 @@ def test_after_an_unknown_outcome_the_object_is_observed_and_the_tap_not_repeate
     assert len(ids) == len(set(ids))
 
 
-def test_a_tapper_that_never_answers_is_given_a_new_tap_id(
-    actors: Actors,
-) -> None:
+def test_a_tapper_that_never_answers_is_given_a_new_tap_id(actors):
     actors.tapper_answers = None
     actors.send()
     actors.wait(lambda: len(actors.taps()) >= 2, "another look, then another tap")
@@ -567,9 +555,7 @@ LATE_CODES = (
     ("code", "taps"),
     [*((code, 10) for code in LATE_CODES), (ErrorCode.OBJECT_MOVED, 3), (ErrorCode.NONE, 3)],
 )
-def test_a_tap_with_a_late_message_is_attempted_more_often(
-    actors: Actors, code: int, taps: int
-) -> None:
+def test_a_tap_with_a_late_message_is_attempted_more_often(actors, code, taps):
     actors.tapper_answers = TapperState.NOT_FIRED
     actors.tapper_error = (code, "refused") if code else (0, "")
     actors.send()
@@ -618,9 +604,7 @@ def test_taps_without_effect_end_the_goal(actors: Actors) -> None:
     ],
     ids=lambda value: str(value),
 )
-def test_a_missing_device_is_named_and_no_tap_is_commanded(
-    actors: Actors, change: dict[str, object], code: int
-) -> None:
+def test_a_missing_device_is_named_and_no_tap_is_commanded(actors, change, code):
     for name, value in change.items():
         setattr(actors, name, value)
     actors.run(0.6)
@@ -631,9 +615,7 @@ def test_a_missing_device_is_named_and_no_tap_is_commanded(
     assert actors.taps() == []
 
 
-def test_an_object_under_the_arm_is_reported_with_the_arm_position_and_the_remedy(
-    actors: Actors,
-) -> None:
+def test_an_object_under_the_arm_is_reported_with_the_arm_position_and_the_remedy(actors):
     """The object may be placed, or may stop, where the withdrawn arm hides it."""
     actors.visible, actors.tip = False, Pose(0.15, -0.08, 0.0)
     actors.run(0.6)
@@ -681,9 +663,7 @@ def test_a_tap_left_by_a_crashed_planner_is_withdrawn(actors: Actors) -> None:
 
 
 @pytest.mark.parametrize("wrong", [3_000_000_000, 2**64 - 1])
-def test_a_tap_id_that_arm_and_tapper_would_refuse_does_not_count(
-    actors: Actors, wrong: int
-) -> None:
+def test_a_tap_id_that_arm_and_tapper_would_refuse_does_not_count(actors, wrong):
     actors.tap = TapCommand(tap_id=wrong)
     actors.send()
     assert actors.end().state == PlanState.REACHED
@@ -735,9 +715,7 @@ def test_the_final_pose_is_that_of_the_decision(actors: Actors) -> None:
     assert result.residual_distance == pytest.approx(GOAL.distance_to(actors.pose), abs=1e-9)
 
 
-def test_a_goal_waits_for_its_solution_among_other_obstacles(
-    actors: Actors, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_goal_waits_for_its_solution_among_other_obstacles(actors, monkeypatch):
     """A solver in the background begins anew if an obstacle moves after the goal was solved."""
     ready_at = [0.0]
     update, decide, decided = GoalHandling.update_free_space, Task.decide, []

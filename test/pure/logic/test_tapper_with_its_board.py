@@ -175,9 +175,7 @@ def test_the_tapper_fires_once_when_the_arm_is_in_position(cell: Cell) -> None:
     ],
     ids=["another tap", "moving", "faulted", "stale", "from the future"],
 )
-def test_the_tapper_does_not_fire_if_a_condition_is_not_met(
-    cell: Cell, arm: dict[str, object], code: int
-) -> None:
+def test_the_tapper_does_not_fire_if_a_condition_is_not_met(cell, arm, code):
     cell.command(100, valid=1.0)
     cell.keep_publishing(1.2, **arm)
     cell.wait(lambda: cell.outcome(100) == TapperState.NOT_FIRED, "not fired")
@@ -303,9 +301,7 @@ def test_no_shot_is_fired_unless_the_arm_promises_to_stand_still(cell: Cell) -> 
     ],
     ids=["turned", "moved", "hidden"],
 )
-def test_an_object_away_from_its_planned_pose_is_not_struck(
-    cell: Cell, pose: Pose, visible: bool, code: int
-) -> None:
+def test_an_object_away_from_its_planned_pose_is_not_struck(cell, pose, visible, code):
     """An object that was turned, moved or hidden after planning is not struck."""
     cell.command(100, valid=1.0)
 
@@ -406,9 +402,7 @@ def test_the_striker_is_discharged_if_a_peer_falls_silent(lost: str) -> None:
     assert cell.shots() == []
 
 
-def test_the_striker_is_not_charged_while_the_planner_is_silent(
-    cell: Cell,
-) -> None:
+def test_the_striker_is_not_charged_while_the_planner_is_silent(cell):
     cell.command(100)
     cell.wait(lambda: cell.last.tap_id == 100, "taken")
     cell.publish("plan_state", PlanState(state=PlanState.PLACING))
@@ -474,9 +468,7 @@ def test_a_foreign_command_does_not_affect_the_active_tap(cell: Cell) -> None:
     ],
     ids=["request", "frame", "NaN", "expires in a day", "from the future"],
 )
-def test_an_invalid_command_is_refused_with_a_message_and_blocks_no_other(
-    cell: Cell, change: dict[str, float], code: int
-) -> None:
+def test_an_invalid_command_is_refused_with_a_message_and_blocks_no_other(cell, change, code):
     message = TapCommand(request=int(change.get("request", TapCommand.TAP)), tap_id=100)
     message.header.frame_id = str(change.get("frame", "table"))
     message.striker_speed = float(change.get("speed", 0.3))
@@ -567,9 +559,7 @@ def test_a_tapper_frozen_during_a_shot_reports_unknown_once_and_becomes_ready() 
 
 
 @pytest.mark.parametrize("read", [True, False])
-def test_a_restarted_tapper_does_not_report_an_id_used_by_its_board_as_not_fired(
-    cell: Cell, read: bool
-) -> None:
+def test_a_restarted_tapper_does_not_report_an_id_used_by_its_board_as_not_fired(cell, read):
     """The tap may have been fired before the restart. Until the board was read, no outcome is
     reported."""
     cell.fire(100)

@@ -52,14 +52,7 @@ def test_the_boundary_of_a_square_lies_on_its_edges():
 
 @pytest.mark.parametrize(
     "radius, mass, height",
-    [
-        (-1, 1, 1),
-        (1, -0.2, 1),
-        (1, 1, 0),
-        (math.nan, 1, 1),
-        (1, math.inf, 1),
-        ("wide", 1, 1),
-    ],
+    [(-1, 1, 1), (1, -0.2, 1), (1, 1, 0), (math.nan, 1, 1), (1, math.inf, 1), ("wide", 1, 1)],
 )
 @pytest.mark.parametrize("shape", [Disk, Ring])
 def test_an_impossible_body_is_refused(shape, radius, mass, height):

@@ -78,12 +78,7 @@ def brute_force(body, friction, kappa, speed, spin, direction, cells=40):
 @pytest.mark.parametrize("name", BODIES)
 @pytest.mark.parametrize(
     "kappa, speed, spin, direction",
-    [
-        (1.0, 0.3, 3.0, 0.0),
-        (3.64, 0.3, 3.0, 0.5),
-        (1.0, 0.05, 20.0, 2.0),
-        (2.17, 0.2, -12.0, -1.0),
-    ],
+    [(1.0, 0.3, 3.0, 0.0), (3.64, 0.3, 3.0, 0.5), (1.0, 0.05, 20.0, 2.0), (2.17, 0.2, -12.0, -1.0)],
 )
 def test_rest_agrees_with_brute_force_integration(name, kappa, speed, spin, direction):
     body = BODIES[name]

@@ -91,9 +91,7 @@ def test_a_launch_beyond_the_tabulated_range_slides_into_it(body: Polygon) -> No
     assert above == pytest.approx(below, rel=1e-6)
 
 
-def test_one_shape_has_one_table_at_every_scale_and_friction(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_one_shape_has_one_table_at_every_scale_and_friction(monkeypatch):
     Sliding(SQUARE, MU, 2.0, G).tabulated()
     larger = replace(SQUARE, vertices=tuple((2 * x, 2 * y) for x, y in SQUARE.vertices))
     monkeypatch.setattr(polygon_table, "PolygonTable", lambda *_: pytest.fail("a second table"))

@@ -205,12 +205,7 @@ def test_non_finite_values_are_refused(wrong):
 
 @pytest.mark.parametrize(
     "name, value",
-    [
-        ("friction", 0.0),
-        ("friction", -0.1),
-        ("torque_factor", 0.0),
-        ("gravity", math.nan),
-    ],
+    [("friction", 0.0), ("friction", -0.1), ("torque_factor", 0.0), ("gravity", math.nan)],
 )
 def test_parameters_out_of_range_are_refused(name, value):
     with pytest.raises(InvalidParameterError, match=name.replace("_", " ")):

@@ -20,11 +20,7 @@ from typing import Any
 
 import pytest
 from tornado.httpclient import HTTPClientError, HTTPRequest
-from tornado.websocket import (
-    WebSocketClientConnection,
-    WebSocketClosedError,
-    websocket_connect,
-)
+from tornado.websocket import WebSocketClientConnection, WebSocketClosedError, websocket_connect
 
 from tapping_cell.nodes.page import server
 from tapping_cell.nodes.page.guard import Guard
@@ -179,9 +175,7 @@ def test_a_foreign_host_name_gets_no_file(site: Site) -> None:
     ],
     ids=["other site", "sandbox", "no origin", "rebound name", "malformed"],
 )
-def test_another_web_site_cannot_open_a_socket(
-    site: Site, headers: dict[str, str], words: str
-) -> None:
+def test_another_web_site_cannot_open_a_socket(site, headers, words):
     async def scenario() -> None:
         with pytest.raises(HTTPClientError) as refused:
             async with site.page({}, **headers):
@@ -195,9 +189,7 @@ def test_another_web_site_cannot_open_a_socket(
 
 @with_token
 @pytest.mark.parametrize("hello", [{}, {"token": "wrong"}, {"token": ""}, {"token": ["the"]}])
-def test_without_the_token_nothing_is_shown_and_nothing_is_done(
-    site: Site, hello: dict[str, object]
-) -> None:
+def test_without_the_token_nothing_is_shown_and_nothing_is_done(site, hello):
     async def scenario() -> None:
         async with site.page(hello) as page:
             with contextlib.suppress(WebSocketClosedError):  # the server may have closed it already
@@ -210,9 +202,7 @@ def test_without_the_token_nothing_is_shown_and_nothing_is_done(
 
 
 @with_token
-def test_the_first_message_must_be_hello_within_the_timeout(
-    site: Site, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_first_message_must_be_hello_within_the_timeout(site, monkeypatch):
     monkeypatch.setattr(server, "HELLO_TIMEOUT_S", 1.0)
 
     async def scenario() -> None:
@@ -275,9 +265,7 @@ def test_too_long_or_too_many_messages_end_the_connection(site: Site) -> None:
 # ---- several pages
 
 
-def test_every_page_sees_the_same_state_and_the_number_of_pages_is_limited(
-    site: Site, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_every_page_sees_the_same_state_and_the_number_of_pages_is_limited(site, monkeypatch):
     monkeypatch.setattr(server, "MAX_PAGES", 2)
 
     async def scenario() -> None:
@@ -295,9 +283,7 @@ def test_every_page_sees_the_same_state_and_the_number_of_pages_is_limited(
     assert max(site.backend.counts) == 2
 
 
-def test_a_page_gets_the_latest_image_after_it_has_drawn_the_previous_one(
-    site: Site,
-) -> None:
+def test_a_page_gets_the_latest_image_after_it_has_drawn_the_previous_one(site):
     async def scenario() -> None:
         async with site.page({}) as slow, site.page({}) as quick:
             await read(slow)
@@ -318,9 +304,7 @@ def test_a_page_gets_the_latest_image_after_it_has_drawn_the_previous_one(
     asyncio.run(scenario())
 
 
-def test_a_page_that_does_not_read_is_disconnected_and_the_others_continue(
-    site: Site, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_page_that_does_not_read_is_disconnected_and_the_others_continue(site, monkeypatch):
     monkeypatch.setattr(server, "WRITE_TIMEOUT_S", 0.3)
 
     def deaf() -> socket.socket:
@@ -373,9 +357,7 @@ def make_run(folder: Path, name: str, **content: object) -> Path:
     return run
 
 
-def test_a_run_is_downloaded_and_its_report_read_with_the_key_of_an_open_page(
-    site: Site, tmp_path: Path
-) -> None:
+def test_a_run_is_downloaded_and_its_report_read_with_the_key_of_an_open_page(site, tmp_path):
     run = make_run(site.backend.runs.folder, "2026-run")
     (run / "secret").symlink_to("/etc/hostname")
     loop_get = site.get
@@ -489,9 +471,7 @@ def test_the_list_is_valid_json_for_any_summary(tmp_path: Path, key: str, value:
         {"end": 7},
     ],
 )
-def test_a_damaged_arrangement_is_listed_as_unreadable(
-    tmp_path: Path, content: dict[str, object]
-) -> None:
+def test_a_damaged_arrangement_is_listed_as_unreadable(tmp_path, content):
     run = tmp_path / "run"
     run.mkdir()
     one = {"goal": [0.0, 0.0, 0.0], "end": [0.0, 0.0, 0.0], **content}
@@ -502,9 +482,7 @@ def test_a_damaged_arrangement_is_listed_as_unreadable(
 
 
 @pytest.mark.parametrize("summary", [[], 7, "text", {"run": []}, {"run": {"objects": [[]]}}])
-def test_an_arrangement_of_another_structure_is_listed_as_unreadable(
-    tmp_path: Path, summary: object
-) -> None:
+def test_an_arrangement_of_another_structure_is_listed_as_unreadable(tmp_path, summary):
     (tmp_path / "run").mkdir()
     (tmp_path / "run" / "arrangement.json").write_text(json.dumps(summary))
     (row,) = Runs(tmp_path).rows()
@@ -550,9 +528,7 @@ def test_a_page_that_sends_too_many_requests_is_refused_except_for_stop(site: Si
     assert len(site.backend.requests) <= 2 * server.MAX_COMMANDS + 1
 
 
-def test_the_enabling_key_and_cancel_do_not_count_as_commands(
-    site: Site, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_enabling_key_and_cancel_do_not_count_as_commands(site, monkeypatch):
     monkeypatch.setattr(server, "MAX_COMMANDS", 0)
     sent = ["enable"] * 12 + ["disable", "cancel", "stop"] * 4
 

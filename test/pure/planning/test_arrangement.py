@@ -36,11 +36,7 @@ from tapping_cell.planning.arrangement import (
     TapOf,
     check_layout,
 )
-from tapping_cell.planning.evaluation.arrangements import (
-    ArrangementTask,
-    Kind,
-    run_arrangement,
-)
+from tapping_cell.planning.evaluation.arrangements import ArrangementTask, Kind, run_arrangement
 from tapping_cell.se2 import Pose
 
 RADIUS = 0.03
@@ -82,9 +78,7 @@ def test_the_map_among_objects_equals_that_of_equivalent_keep_outs(kind: Kind) -
 
 
 @pytest.mark.parametrize("seed", range(2))
-def test_the_map_among_polygons_exactly_equals_that_of_equivalent_keep_outs(
-    kind: Kind, seed: int
-) -> None:
+def test_the_map_among_polygons_exactly_equals_that_of_equivalent_keep_outs(kind, seed):
     random = np.random.default_rng(seed)
     areas = []
     for _ in range(2):
@@ -234,9 +228,7 @@ def test_an_object_does_not_return_to_where_it_blocks_another(kind: Kind) -> Non
 
 @settings(max_examples=settings.default.max_examples // 5)
 @given(st.floats(0.0, 1.3e-3), st.floats(0.0, 6.3))
-def test_a_confirmed_object_is_not_tapped_for_one_noisy_observation(
-    kind: Kind, off: float, direction: float
-) -> None:
+def test_a_confirmed_object_is_not_tapped_for_one_noisy_observation(kind, off, direction):
     """An object that was confirmed at its goal stays confirmed as long as it is observed inside the
     tolerance, even close to the limit. An object that is not yet confirmed would not be confirmed
     by an observation that close to the limit."""
@@ -286,9 +278,7 @@ def test_a_move_without_progress_is_deferred_until_another_object_has_moved(kind
 
 @settings(max_examples=settings.default.max_examples // 12)
 @given(st.integers(0, 2**16))
-def test_objects_reported_done_are_inside_the_tolerance_and_nothing_was_hit(
-    kind: Kind, seed: int
-) -> None:
+def test_objects_reported_done_are_inside_the_tolerance_and_nothing_was_hit(kind, seed):
     task = ArrangementTask(2, "swap", gain_bias=(0.05, 0.1))
     trial, _ = run_arrangement(task, [kind], np.random.default_rng(seed))
     assert trial.end != "done" or trial.inside

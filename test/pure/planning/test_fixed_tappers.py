@@ -29,8 +29,7 @@ from tapping_cell.se2 import Pose
 CELL = load_cell(shared_folder() / "positioning_cell" / "cell.yaml")
 SPACE = make_fixed_space(CELL)
 PLAN = replace(
-    make_planner_settings(CELL, CELL.tolerance),
-    camera=CameraNoise(5e-5, math.radians(0.05)),
+    make_planner_settings(CELL, CELL.tolerance), camera=CameraNoise(5e-5, math.radians(0.05))
 )
 TIP = CELL.file.tapper.tip_radius
 
@@ -124,9 +123,7 @@ def test_the_coarse_solution_also_turns_an_object_half_around() -> None:
     ratio=st.floats(0.1, 1e3),
     numbers=st.lists(st.floats(-40.0, 40.0), min_size=1, max_size=20),
 )
-def test_the_grading_is_monotone_and_its_steps_are_limited(
-    step: float, fine: float, ratio: float, numbers: list[float]
-) -> None:
+def test_the_grading_is_monotone_and_its_steps_are_limited(step, fine, ratio, numbers):
     grading = Grading(step, fine, ratio * step * fine)
     steps = np.sort(np.array(numbers))
     assert grading.steps(grading.value(steps)) == pytest.approx(steps, rel=1e-6, abs=1e-6)

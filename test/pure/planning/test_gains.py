@@ -6,14 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tapping_cell.planning import (
-    CameraNoise,
-    Gains,
-    PlanningError,
-    Scatter,
-    keep_gains,
-    load_gains,
-)
+from tapping_cell.planning import CameraNoise, Gains, PlanningError, Scatter, keep_gains, load_gains
 from tapping_cell.planning.gains import HIGHEST, LOWEST, NAMES, plan_rotation
 from tapping_cell.planning.kept_gains import gains_file
 
@@ -141,8 +134,7 @@ def test_a_tap_without_rotation_gives_no_information_about_rotation():
 
 
 @given(
-    st.lists(st.tuples(*[st.floats(-0.2, 0.2)] * 6), min_size=1, max_size=12),
-    st.floats(0.0, 0.3),
+    st.lists(st.tuples(*[st.floats(-0.2, 0.2)] * 6), min_size=1, max_size=12), st.floats(0.0, 0.3)
 )
 def test_the_gains_stay_within_bounds_for_any_measurement(taps, scatter):
     gains = Gains.start()

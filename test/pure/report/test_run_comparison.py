@@ -73,9 +73,7 @@ def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
         ("distance at the start", ["run 1", "run 2", "run 10"], ["run 2", "run 1", "run 10"]),
     ],
 )
-def test_clicking_a_heading_sorts_the_runs(
-    browser: Any, heading: str, ascending: list[str], descending: list[str]
-) -> None:
+def test_clicking_a_heading_sorts_the_runs(browser, heading, ascending, descending):
     head = browser.find_element("xpath", f"//th[button='{heading}']")
     for expected, direction in ((ascending, "ascending"), (descending, "descending")):
         head.find_element("tag name", "button").click()

@@ -183,9 +183,7 @@ def test_the_table_of_an_earlier_version_is_read_without_learnt_values(tmp_path:
         "namespace",
     ],
 )
-def test_every_result_is_reported_correctly(
-    made: MadeRun, outcome: str, words: str, tmp_path: Path
-) -> None:
+def test_every_result_is_reported_correctly(made, outcome, words, tmp_path):
     folder = make(tmp_path / "run", made)
     run = write_folder(folder, pictures=False)
     content = json.loads((folder / "summary.json").read_text())
@@ -272,9 +270,7 @@ def test_a_failure_completes_an_unfinished_run_and_no_other(tmp_path: Path) -> N
 @pytest.mark.parametrize(
     ("name", "content"), [("summary.json", "{"), ("summary.json", "{}"), ("taps.csv", "tap\nx\n")]
 )
-def test_a_damaged_folder_is_refused_with_a_message(
-    name: str, content: str, tmp_path: Path
-) -> None:
+def test_a_damaged_folder_is_refused_with_a_message(name, content, tmp_path):
     folder = make(tmp_path / "run", MadeRun(STOPS))
     write_folder(folder, pictures=False)
     (folder / name).write_text(content)
@@ -291,9 +287,7 @@ poses = st.builds(Pose, st.floats(-1, 1), st.floats(-1, 1), st.floats(-10, 10))
 
 
 @given(goal=poses, pose=poses)
-def test_residuals_use_the_shortest_rotation_and_decide_what_is_inside(
-    goal: Pose, pose: Pose
-) -> None:
+def test_residuals_use_the_shortest_rotation_and_decide_what_is_inside(goal, pose):
     left = residual(goal, pose)
     assert left is not None
     assert 0 <= left["rotation_deg"] <= 180 + 1e-9
@@ -311,9 +305,7 @@ def test_residuals_use_the_shortest_rotation_and_decide_what_is_inside(
         max_size=5,
     )
 )
-def test_a_run_with_any_taps_is_read_back_unchanged(
-    stops: list[Pose], tmp_path_factory: pytest.TempPathFactory
-) -> None:
+def test_a_run_with_any_taps_is_read_back_unchanged(stops, tmp_path_factory):
     folder = tmp_path_factory.mktemp("run")
     run = read_illustrated_run(MadeRun(stops).write(folder) / "bag").run
     assert len(run.taps) == len(stops) - 1

@@ -59,9 +59,7 @@ def rim(solid: Solid, motion: Motion) -> np.ndarray:
 
 
 @given(solids, solids, motions, motions)
-def test_the_gap_is_the_minimum_distance_of_the_outlines(
-    first: Solid, second: Solid, here: Motion, there: Motion
-) -> None:
+def test_the_gap_is_the_minimum_distance_of_the_outlines(first, second, here, there):
     gap = gap_between(first, second, here, there)
     back = gap_between(second, first, there, here)
     assert gap.distance == pytest.approx(back.distance, abs=1e-12)
@@ -81,9 +79,7 @@ def test_the_gap_is_the_minimum_distance_of_the_outlines(
 
 
 @given(solids, solids, motions, motions)
-def test_an_impact_keeps_momentum_and_leaves_no_closing_speed(
-    first: Solid, second: Solid, here: Motion, there: Motion
-) -> None:
+def test_an_impact_keeps_momentum_and_leaves_no_closing_speed(first, second, here, there):
     gap = gap_between(first, second, here, there)
     met = impact(first, second, here, there, gap)
     if met is None:

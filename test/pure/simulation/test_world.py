@@ -43,9 +43,7 @@ def settled(world: World) -> Pose:
 
 @settings(max_examples=settings.default.max_examples // 5)
 @given(distance=st.floats(0.003, 0.08), heading=st.floats(-3.1, 3.1), share=st.floats(-0.9, 0.9))
-def test_a_world_without_errors_gives_the_planned_result(
-    distance: float, heading: float, share: float
-) -> None:
+def test_a_world_without_errors_gives_the_planned_result(distance, heading, share):
     tap = CELL.object.tap(STRIKER)
     turn = share * tap.cone_slope * distance
     wanted = (distance * math.cos(heading), distance * math.sin(heading), turn)
