@@ -1,8 +1,12 @@
 """The complete fit of an object file, tested with simulated experiments and with records of known
 impacts."""
 
+import contextlib
+import io
 import json
 import math
+import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -65,11 +69,18 @@ def test_new_taps_are_predicted(records, fit, tmp_path):
         assert abs(run.tap_distance) < 0.15
 
 
-def test_the_file_is_read_by_the_planners_reader(records, fit, tmp_path, capsys):
+@pytest.fixture(scope="module")
+def fitted_file(records, tmp_path_factory):
+    """Return the file that the verb has written for the records, and what it has printed."""
+    output = tmp_path_factory.mktemp("fitted") / "fitted.yaml"
+    with contextlib.redirect_stdout(io.StringIO()) as printed:
+        assert main(["fit", str(records[0]), "--output", str(output), "--json"]) == 0
+    return output, json.loads(printed.getvalue())
+
+
+def test_the_file_is_read_by_the_planners_reader(records, fit, fitted_file, capsys):
     folder, content, _ = records
-    output = tmp_path / "fitted.yaml"
-    assert main(["fit", str(folder), "--output", str(output), "--json"]) == 0
-    printed = json.loads(capsys.readouterr().out)
+    output, printed = fitted_file
     fitted = load_object(output)
     assert fitted.torque_factor == pytest.approx(fit.slide.torque_factor, rel=1e-5)
     assert fitted.torque_factor == pytest.approx(
@@ -85,10 +96,8 @@ def test_the_file_is_read_by_the_planners_reader(records, fit, tmp_path, capsys)
     assert output.read_bytes() == before
 
 
-def test_a_better_file_is_kept(records, fit, tmp_path, capsys):
-    folder, _, _ = records
-    output = tmp_path / "fitted.yaml"
-    assert main(["fit", str(folder), "--output", str(output)]) == 0
+def test_a_better_file_is_kept(fitted_file, tmp_path, capsys):
+    output = Path(shutil.copy(fitted_file[0], tmp_path / "fitted.yaml"))
     before = output.read_bytes()
     worse = write(tmp_path / "noisy", taps(noise=(0.05, 0.2), trials=4))
     assert main(["fit", str(worse), "--output", str(output), "--force"]) == 2

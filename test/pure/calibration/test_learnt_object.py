@@ -41,7 +41,7 @@ def drawn(seed: int) -> tuple[ObjectFile, float, float]:
     return replace(GUESS, shape=shape), friction, factor
 
 
-def learnt(seed: int, count: int = 16, bumps: int = 0) -> tuple[LearntObject, float, float]:
+def learnt(seed: int, count: int = 12, bumps: int = 0) -> tuple[LearntObject, float, float]:
     content, friction, factor = drawn(seed)
     random = np.random.default_rng(100 + seed)
     tap = replace(content.tap(STRIKER), smallest_distance=0.0)

@@ -131,7 +131,7 @@ def test_launch_inverts_rest(body, kappa, speed, spin, direction):
     assert launch == pytest.approx((speed, spin), rel=1e-9)
 
 
-@settings(max_examples=settings.default.max_examples // 5)
+@settings(max_examples=settings.default.max_examples // 12)
 @given(bodies, speeds, spins, directions)
 def test_twist_for_inverts_displace(body, speed, spin, direction):
     slide = Sliding(body, 0.17, 2.0)

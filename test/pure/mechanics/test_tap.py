@@ -114,7 +114,7 @@ def test_plan_then_outcome_is_the_identity_for_arrays():
 def test_plan_then_outcome_is_the_identity_for_polygons(body, constraint):
     tap = make(body, 0.3, constraint, kappa=2.17)
     generator = np.random.default_rng(1)
-    n = 60
+    n = 20
     distance, direction = generator.uniform(0.002, 0.1, n), generator.uniform(-4, 4, n)
     rotation = generator.uniform(-1, 1, n) * tap.cone_slope * distance
     wanted = np.stack([distance * np.cos(direction), distance * np.sin(direction), rotation], 1)

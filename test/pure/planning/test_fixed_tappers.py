@@ -95,7 +95,7 @@ def test_the_shipped_cell_covers_its_area_and_an_incomplete_one_does_not() -> No
 
 
 def test_trials_end_at_the_goal() -> None:
-    results = evaluate_fixed_coarse(FixedEvaluation(SPACE, PLAN, trials=12, seed=1))
+    results = evaluate_fixed_coarse(FixedEvaluation(SPACE, PLAN, trials=6, seed=1))
     assert np.all(results.end == End.DONE)
     assert np.all(results.inside)
     assert np.mean(results.taps) < 7.0
@@ -106,7 +106,7 @@ def test_the_coarse_solution_also_turns_an_object_half_around() -> None:
     were proportional to the rotation, the interpolated values near half a turn were three times too
     high. The chosen taps were then too short, and a goal took 20 taps."""
     half_around = FixedEvaluation(
-        SPACE, PLAN, trials=12, seed=1, start_angle=math.pi, goal=(-0.05, 0.02, -1.57)
+        SPACE, PLAN, trials=6, seed=1, start_angle=math.pi, goal=(-0.05, 0.02, -1.57)
     )
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(
@@ -137,7 +137,7 @@ def test_trials_take_about_the_minimum_expected_time() -> None:
     interpolation on the coarse grid overestimates it."""
     space = make_fixed_space(CELL, objective="time")
     assert space.key() != SPACE.key()
-    trials, turned = 32, math.radians(10.0)
+    trials, turned = 16, math.radians(10.0)
     results = evaluate_fixed_coarse(
         FixedEvaluation(space, PLAN, trials=trials, start_angle=turned, adapt=False, seed=3)
     )
@@ -174,7 +174,7 @@ def test_a_tap_has_the_expected_taps_and_seconds_of_the_solution(objective: str)
 
 def test_displaced_lines_are_learnt_while_tapping() -> None:
     evaluation = FixedEvaluation(
-        SPACE, PLAN, trials=12, seed=2, mount_error=(5e-4, math.radians(0.5))
+        SPACE, PLAN, trials=6, seed=2, mount_error=(5e-4, math.radians(0.5))
     )
     results = evaluate_fixed_coarse(evaluation)
     assert np.all(results.end == End.DONE)
