@@ -43,6 +43,12 @@ def test_a_closed_output_pipe_ends_a_verb_silently(unbuffered: str) -> None:
     assert (ended.returncode, ended.stderr) == (128 + signal.SIGPIPE, b"")
 
 
+def at_work(process: str) -> bool:
+    """Return whether a process has used some processor time, so that its start is over."""
+    *_, user, system = Path(f"/proc/{process}/stat").read_text().split()[:15]
+    return int(user) + int(system) > 0.1 * os.sysconf("SC_CLK_TCK")
+
+
 @pytest.mark.parametrize(
     ("option", "number"), [("--goals", signal.SIGINT), ("--taps", signal.SIGTERM)]
 )
@@ -57,7 +63,7 @@ def test_a_signal_ends_a_campaign_and_its_processes(option: str, number: signal.
     try:
         children = Path(f"/proc/{process.pid}/task/{process.pid}/children")
         until = time.monotonic() + 60
-        while len(children.read_text().split()) < 2 and time.monotonic() < until:
+        while sum(map(at_work, children.read_text().split())) < 2 and time.monotonic() < until:
             time.sleep(0.05)
         started = children.read_text().split()
         # Ctrl-C is sent to every process of the terminal, a termination signal to one process.
