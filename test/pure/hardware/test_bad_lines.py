@@ -25,7 +25,7 @@ THOROUGH = (Dialect.GRBL, Dialect.MARLIN)
 
 @pytest.mark.parametrize("dialect", Dialect)
 def test_random_faults(dialect: Dialect) -> None:
-    taps = 30 if dialect in THOROUGH else 12
+    taps = 30 if dialect in THOROUGH else 20
     tally = run_taps(dialect, taps, seed=20)
     assert tally.clean, tally.notes
     assert tally.taps == taps == tally.fired + tally.not_fired + tally.unknown
@@ -189,12 +189,12 @@ def test_random_faults_are_repeatable_and_of_every_kind() -> None:
 def test_the_verb_prints_json_and_is_repeatable(capsys: pytest.CaptureFixture[str]) -> None:
     results = []
     for jobs in ("1", "2"):
-        words = ["faults", "--taps", "120", "--seed", "3", "--jobs", jobs, "--json"]
+        words = ["faults", "--taps", "60", "--seed", "3", "--jobs", jobs, "--json"]
         assert main(words) == 0
         result = json.loads(capsys.readouterr().out)
         result.pop("wall_time")
         results.append(result)
-    assert results[0]["taps"] == 120
+    assert results[0]["taps"] == 60
     for key in ("double_fires", "unsafe_fires", "hangs", "false_reports"):
         assert results[0][key] == 0
     order = [json.dumps(result, sort_keys=True) for result in results]

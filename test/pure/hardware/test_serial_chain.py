@@ -156,7 +156,7 @@ def test_taps_across_the_table_end_at_their_strike_poses(by_action: bool) -> Non
     here = cell.park()
     assert here == pytest.approx(CELL.arm.park, abs=1e-3)
     draw = np.random.default_rng(5)
-    for _ in range(4):
+    for _ in range(2):
         x, y = draw.uniform(-0.20, 0.20), draw.uniform(-0.15, 0.15)
         yaw = draw.uniform(-math.pi, math.pi)
         strike = TipPose(0.47 + y, x, 0.006, yaw)
