@@ -135,7 +135,7 @@ def photographs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     random, eye = np.random.default_rng(2), SheetCamera(SMALL, 1)
     sheet = truths.target_sheet(target)
     number = 0
-    while number < 7:
+    while number < 8:
         image = eye.photograph(sheet, truths.view_pose(random, SMALL, sheet.size))
         if isinstance(find_target(image, target, ""), str):
             continue
