@@ -121,7 +121,7 @@ def test_the_report_is_one_page_with_its_figures(records, tmp_path):
 
 def known(tmp_path, name="r", **options):
     header = {"striker": options["striker"]} if "striker" in options else {}
-    folder = write(tmp_path / name, taps(**options), **header)
+    folder = write(tmp_path / name, taps(**{"trials": 5, **options}), **header)
     return fit_object([read_experiment(folder)], DISK)
 
 
@@ -167,7 +167,7 @@ def test_sliding_is_fitted_without_the_striker_speed(tmp_path):
 
 
 def test_a_speed_that_is_only_commanded_is_reported(tmp_path):
-    trials = [replace_values(t, {"striker_speed_measured": math.nan}) for t in taps()]
+    trials = [replace_values(t, {"striker_speed_measured": math.nan}) for t in taps(trials=5)]
     fit = fit_object([read_experiment(write(tmp_path / "r", trials))], DISK)
     assert any("was not measured" in s for s in fit.sentences)
 
@@ -176,13 +176,13 @@ def test_a_striker_faster_than_commanded_is_reported_and_not_taken_for_restituti
     random = np.random.default_rng(4)
     trials = [
         replace_values(t, {"striker_speed": t.striker_speed / (1.03 + 0.01 * random.normal())})
-        for t in taps()
+        for t in taps(trials=5)
     ]
     fit = fit_object([read_experiment(write(tmp_path / "r", trials))], DISK)
     output = [s for s in fit.sentences if "speed differs from the commanded" in s]
     assert len(output) == 1 and "+6 %" in output[0] and "calibrate tapper" in output[0]
     assert fit.estimate("restitution").value == pytest.approx(TRUE["restitution"], rel=0.01)
-    exact = fit_object([read_experiment(write(tmp_path / "e", taps()))], DISK)
+    exact = fit_object([read_experiment(write(tmp_path / "e", taps(trials=5)))], DISK)
     assert not any("speed differs from the commanded" in s for s in exact.sentences)
 
 
@@ -207,7 +207,7 @@ def test_scatter_of_the_direction_is_estimated(tmp_path):
     random = np.random.default_rng(2)
     trials = [
         replace_values(t, {"direction": t.direction + 0.03 * random.standard_normal()})
-        for t in taps()
+        for t in taps(trials=5)
     ]
     fit = fit_object([read_experiment(write(tmp_path / "r", trials))], DISK)
     assert fit.estimate("scatter_direction").value == pytest.approx(0.03, rel=0.4)
