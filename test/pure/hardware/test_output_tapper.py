@@ -4,9 +4,9 @@ not guaranteed."""
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 
 import pytest
+from event_clock import EventClock
 from hardware_faults import expect_fault
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -36,30 +36,17 @@ class Memory:
         self.shot = shot
 
 
-class Cell:
+class Cell(EventClock):
     """The emulated output and the driver, in virtual time."""
 
     def __init__(self, interface: str = "service", reads_back: bool = True) -> None:
-        self.time = 50.0
-        self.events: list[tuple[float, Callable[[], object]]] = []
+        super().__init__(50.0)
         self.device = OutputDevice()
         self.memory = Memory()
         self.link = VirtualOutputLink(
             self.device, lambda: self.time, self.sleep, interface, reads_back
         )
         self.driver = OutputTapperDriver(self.link, SETTINGS, self.memory)
-
-    def sleep(self, duration: float) -> None:
-        end = self.time + duration
-        while self.events and self.events[0][0] <= end:
-            self.time, action = self.events.pop(0)
-            action()
-        self.time = max(end, self.time)
-        assert self.time < 1e4, "a call does not end"
-
-    def after(self, duration: float, action: Callable[[], object]) -> None:
-        self.events.append((self.time + duration, action))
-        self.events.sort(key=lambda event: event[0])
 
     def shoot(self, shot: int, energy: float = 1e-2, allowed: bool = True) -> FireResult:
         reply = self.driver.charge(shot, energy)

@@ -8,6 +8,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from event_clock import EventClock
 from hardware_faults import expect_fault
 from hypothesis import example, given
 from hypothesis import strategies as st
@@ -29,12 +30,11 @@ GOAL = Joints(-0.4, 1.6, -0.010, 0.5)
 GEOMETRY = ScaraGeometry()
 
 
-class Cell:
+class Cell(EventClock):
     """An emulated controller and the driver, in virtual time."""
 
     def __init__(self, by_action: bool = False, rate: float = 50.0, **settings: float) -> None:
-        self.time = 100.0
-        self.events: list[tuple[float, Callable[[], object]]] = []
+        super().__init__(100.0)
         self.controller = TrajectoryController(
             ControllerSettings(NAMES, **settings), START, self.time
         )
@@ -51,18 +51,6 @@ class Cell:
             Ros2ControlSettings(NAMES, GEOMETRY.max_acceleration, (1e-3, 1e-3, 1e-4, 1e-3)),
         )
         self.driver = ArmDriver(self.link, dialect, GEOMETRY, ArmSettings())
-
-    def sleep(self, duration: float) -> None:
-        end = self.time + duration
-        while self.events and self.events[0][0] <= end:
-            self.time, action = self.events.pop(0)
-            action()
-        self.time = end
-        assert self.time < 1e4, "a call does not end"
-
-    def after(self, duration: float, action: Callable[[], object]) -> None:
-        self.events.append((self.time + duration, action))
-        self.events.sort(key=lambda event: event[0])
 
     def ready(self) -> ArmDriver:
         self.driver.connect()

@@ -7,12 +7,12 @@ SciPy's rotations. The lengths in this reference come from the drawing, not from
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from event_clock import EventClock
 from hardware_faults import expect_fault
 from hypothesis import given
 from hypothesis import strategies as st
@@ -99,14 +99,13 @@ def test_an_unreachable_pose_is_reported_with_its_cause() -> None:
     assert not far.success and "x 2000 mm" in far.reason
 
 
-class Cell:
+class Cell(EventClock):
     """An emulated controller of six joints and the driver, in virtual time."""
 
     def __init__(
         self, start: tuple[float, ...], by_action: bool = False, arm: ArmSection = CELL.arm
     ) -> None:
-        self.time = 100.0
-        self.events: list[tuple[float, Callable[[], object]]] = []
+        super().__init__(100.0)
         self.controller = TrajectoryController(ControllerSettings(NAMES), start, self.time)
         self.link = VirtualTrajectoryLink(
             self.controller,
@@ -116,18 +115,6 @@ class Cell:
             by_action=by_action,
         )
         self.driver = make_arm_driver(arm, self.link)
-
-    def sleep(self, duration: float) -> None:
-        end = self.time + duration
-        while self.events and self.events[0][0] <= end:
-            self.time, action = self.events.pop(0)
-            action()
-        self.time = end
-        assert self.time < 1e4, "a call does not end"
-
-    def after(self, duration: float, action: Callable[[], object]) -> None:
-        self.events.append((self.time + duration, action))
-        self.events.sort(key=lambda event: event[0])
 
     def tip(self, time: float | None = None) -> NDArray[np.float64]:
         """Return the striker's true pose from the reference kinematics."""

@@ -73,6 +73,18 @@ def make(folder: Path, made: MadeRun) -> Path:
     return made.write(folder)
 
 
+@pytest.fixture(scope="module")
+def original(tmp_path_factory):
+    folder = make(tmp_path_factory.mktemp("original") / "run", MadeRun(STOPS))
+    write_folder(folder, pictures=False)
+    return folder
+
+
+@pytest.fixture
+def written(original, tmp_path):
+    return Path(shutil.copytree(original, tmp_path / "run"))
+
+
 def test_the_folder_contains_its_files_and_they_agree(tmp_path: Path) -> None:
     folder = make(tmp_path / "run", MadeRun(STOPS, errors=[(3.0, 512, "busy <b>")]))
     run = write_folder(folder)
@@ -125,9 +137,8 @@ def test_figure_and_page_are_regenerated_from_summary_and_taps_alone(tmp_path: P
         assert astuple(one.learnt) == pytest.approx(astuple(other.learnt), abs=1e-6)
 
 
-def test_the_table_of_an_earlier_version_is_read_without_learnt_values(tmp_path: Path) -> None:
-    folder = make(tmp_path / "run", MadeRun(STOPS))
-    write_folder(folder, pictures=False)
+def test_the_table_of_an_earlier_version_is_read_without_learnt_values(written: Path) -> None:
+    folder = written
     with (folder / "taps.csv").open() as stream:
         rows = list(csv.DictReader(stream))
     kept = [name for name in rows[0] if not name.startswith("learnt")]
@@ -270,12 +281,10 @@ def test_a_failure_completes_an_unfinished_run_and_no_other(tmp_path: Path) -> N
 @pytest.mark.parametrize(
     ("name", "content"), [("summary.json", "{"), ("summary.json", "{}"), ("taps.csv", "tap\nx\n")]
 )
-def test_a_damaged_folder_is_refused_with_a_message(name, content, tmp_path):
-    folder = make(tmp_path / "run", MadeRun(STOPS))
-    write_folder(folder, pictures=False)
-    (folder / name).write_text(content)
+def test_a_damaged_folder_is_refused_with_a_message(name: str, content: str, written: Path) -> None:
+    (written / name).write_text(content)
     with pytest.raises(RunError, match="damaged or of another version"):
-        read_run(folder)
+        read_run(written)
 
 
 def test_a_missing_folder_is_refused_with_a_message(tmp_path: Path) -> None:
