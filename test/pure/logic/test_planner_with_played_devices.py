@@ -535,14 +535,6 @@ def test_a_tapper_that_never_answers_is_given_a_new_tap_id(actors):
     assert second.tap_id > first.tap_id
 
 
-def test_taps_that_are_not_fired_end_after_three_attempts(actors: Actors) -> None:
-    actors.tapper_answers = TapperState.NOT_FIRED
-    actors.send()
-    end = actors.end()
-    assert end.state == PlanState.FAILED
-    assert len(actors.taps()) == 3 and end.taps == 0
-
-
 LATE_CODES = (
     ErrorCode.CAMERA_SILENT,
     ErrorCode.ARM_SILENT,
@@ -679,15 +671,12 @@ def test_the_next_tap_id_is_above_a_greater_id_of_arm_or_tapper(actors: Actors) 
     assert actors.taps()[0].tap_id == greater + 1
 
 
-def test_a_lost_withdrawal_is_repeated(actors: Actors) -> None:
+@pytest.mark.parametrize("crashed", [False, True])
+def test_a_lost_withdrawal_is_repeated(actors: Actors, crashed: bool) -> None:
+    """``crashed``: the tap was left by a planner that has crashed."""
+    if crashed:
+        actors.tap, actors.arm_state = TapCommand(tap_id=77), ArmState.IN_POSITION
     actors.lost_withdrawals = 1
-    actors.send()
-    assert actors.end().state == PlanState.REACHED
-
-
-def test_a_lost_withdrawal_of_a_crashed_planners_tap_is_repeated(actors: Actors) -> None:
-    actors.tap = TapCommand(tap_id=77)
-    actors.arm_state, actors.lost_withdrawals = ArmState.IN_POSITION, 1
     actors.send()
     assert actors.end().state == PlanState.REACHED
 
