@@ -141,11 +141,10 @@ def foreign_privates(package: Path) -> list[str]:
     """Return private members and modules of other packages that the code uses: names with an
     underscore that the package does not define itself."""
     own: set[str] = set()
-    used: list[tuple[str, str]] = []
+    used: list[tuple[Path, ast.AST, str]] = []
     for file in sorted(package.rglob("*.py")):
         own |= {part.removesuffix(".py") for part in file.relative_to(package).parts}
         for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
-            place = f"{file.relative_to(package)}:{getattr(node, 'lineno', 0)}"
             if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)):
                 own.add(node.name)
             elif isinstance(node, ast.Name) and not isinstance(node.ctx, ast.Load):
@@ -154,16 +153,20 @@ def foreign_privates(package: Path) -> list[str]:
                 # Attributes assigned to self or cls belong to this package.
                 if isinstance(node.ctx, ast.Store) and node.value.id in ("self", "cls"):
                     own.add(node.attr)
-                else:
-                    used.append((place, node.attr))
-            elif isinstance(node, ast.Attribute):
-                used.append((place, node.attr))
+                elif is_private(node.attr):
+                    used.append((file, node, node.attr))
+            elif isinstance(node, ast.Attribute) and is_private(node.attr):
+                used.append((file, node, node.attr))
             elif isinstance(node, ast.Import):
-                used += [(place, part) for a in node.names for part in a.name.split(".")]
+                used += [(file, node, part) for a in node.names for part in a.name.split(".")]
             elif isinstance(node, ast.ImportFrom):
                 names = [*(node.module or "").split("."), *(alias.name for alias in node.names)]
-                used += [(place, part) for part in names]
-    return [f"{place} uses {name}" for place, name in used if is_private(name) and name not in own]
+                used += [(file, node, part) for part in names]
+    return [
+        f"{file.relative_to(package)}:{node.lineno} uses {name}"
+        for file, node, name in used
+        if is_private(name) and name not in own
+    ]
 
 
 def against_the_arrows(imports: list[Import], package: str) -> list[Import]:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from tapping_cell.calibration.csv_table import Column, RecordError, read_csv
@@ -87,7 +87,6 @@ def test_a_missing_file_is_named(tmp_path: Path) -> None:
         read_csv(tmp_path / "none.csv", COLUMNS)
 
 
-@settings(deadline=None)
 @given(text=st.text(alphabet="x,angle_0.5-\n\"';#\t\0é", max_size=80))
 def test_any_text_is_read_within_the_ranges_or_refused(
     tmp_path_factory: pytest.TempPathFactory, text: str

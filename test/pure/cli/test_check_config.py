@@ -80,9 +80,7 @@ def test_the_files_that_a_cell_names_are_checked_too(folder: Path) -> None:
     )
 
 
-def test_the_home_folder_in_the_path_of_a_further_object_is_expanded(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_home_folder_in_the_path_of_a_further_object_is_expanded(folder, monkeypatch):
     monkeypatch.setenv("HOME", str(folder / "objects"))
     cell = change(folder / "cell.yaml", ("objects", ["~/plexiglas_disk.yaml"]))
     assert errors(cell) == []
@@ -111,9 +109,7 @@ def test_the_home_folder_in_the_path_of_a_further_object_is_expanded(
         ("cell.yaml", "tapper.energies", [1e-5, 1e-4], "shorter"),
     ],
 )
-def test_contradictions_are_reported(
-    file: str, key: str, value: Any, words: str, folder: Path
-) -> None:
+def test_contradictions_are_reported(file, key, value, words, folder):
     change(folder / file, (key, value))
     found = errors(folder / "cell.yaml")
     assert found and (words == "shorter" or any(words in sentence for sentence in found)), found
@@ -189,9 +185,7 @@ def test_a_parameter_file_is_checked_against_the_nodes(tmp_path: Path) -> None:
         ("tap_planner: {ros__parameters: {}, values: {ask: true}}", "tap_planner/values", "ask"),
     ],
 )
-def test_a_key_outside_ros_parameters_is_reported(
-    text: str, place: str, key: str, tmp_path: Path
-) -> None:
+def test_a_key_outside_ros_parameters_is_reported(text, place, key, tmp_path):
     path = tmp_path / "parameters.yaml"
     path.write_text(text)
     assert errors(path) == [
@@ -199,9 +193,7 @@ def test_a_key_outside_ros_parameters_is_reported(
     ]
 
 
-def test_the_verb_returns_an_exit_status_and_json(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_verb_returns_an_exit_status_and_json(folder, capsys):
     cell = folder / "cell.yaml"
     assert main(["check-config", str(cell), str(folder / "truth" / "default.yaml")]) == 0
     assert "ok" in capsys.readouterr().out

@@ -15,7 +15,7 @@ import pytest
 import reference_pages
 
 from benchmarks.__main__ import make_parser
-from tapping_cell.cli import VERBS, main, verb_parser
+from tapping_cell.cli import VERBS, verb_parser
 
 
 @pytest.mark.parametrize("verb", VERBS)
@@ -44,13 +44,6 @@ def test_every_command_in_the_documents_parses(page: Path) -> None:
         verb_parser(words[0])[0].parse_args(["1" if word.isupper() else word for word in words[1:]])
     for line in re.findall(r"python -m benchmarks( --[^`\n]+)", text):
         make_parser().parse_args(shlex.split(line, comments=True))
-
-
-def test_the_former_benchmark_verb_names_its_replacement(capsys) -> None:
-    with pytest.raises(SystemExit) as ended:
-        main(["bench", "--section", "mechanics"])
-    assert ended.value.code == 2
-    assert "python -m benchmarks" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("verb", VERBS)

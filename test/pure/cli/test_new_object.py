@@ -32,9 +32,7 @@ def picture(tmp_path: Path) -> Path:
     return path
 
 
-def test_an_image_is_converted_to_an_object_file(
-    tmp_path: Path, picture: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_image_is_converted_to_an_object_file(tmp_path, picture, capsys):
     made = tmp_path / "square.yaml"
     words = ["new-object", str(picture), "--name", "square", "--height", "12"]
     assert main([*words, "--output", str(made)]) == 0

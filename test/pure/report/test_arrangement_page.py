@@ -119,9 +119,7 @@ def test_an_arrangement_without_taps_or_observations_has_a_page(run: Arrangement
     assert "not seen" in page(replace(run, objects=(blind,), taps=(), contacts=None))
 
 
-def test_the_report_verb_writes_the_page_again(
-    run: ArrangementRun, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_report_verb_writes_the_page_again(run, tmp_path, capsys):
     folder = write(run, tmp_path / "runs" / "run")
     assert main(["report", str(folder), "--json"]) == 0
     result = json.loads(capsys.readouterr().out)

@@ -73,6 +73,18 @@ def make(folder: Path, made: MadeRun) -> Path:
     return made.write(folder)
 
 
+@pytest.fixture(scope="module")
+def original(tmp_path_factory):
+    folder = make(tmp_path_factory.mktemp("original") / "run", MadeRun(STOPS))
+    write_folder(folder, pictures=False)
+    return folder
+
+
+@pytest.fixture
+def written(original, tmp_path):
+    return Path(shutil.copytree(original, tmp_path / "run"))
+
+
 def test_the_folder_contains_its_files_and_they_agree(tmp_path: Path) -> None:
     folder = make(tmp_path / "run", MadeRun(STOPS, errors=[(3.0, 512, "busy <b>")]))
     run = write_folder(folder)
@@ -125,9 +137,8 @@ def test_figure_and_page_are_regenerated_from_summary_and_taps_alone(tmp_path: P
         assert astuple(one.learnt) == pytest.approx(astuple(other.learnt), abs=1e-6)
 
 
-def test_the_table_of_an_earlier_version_is_read_without_learnt_values(tmp_path: Path) -> None:
-    folder = make(tmp_path / "run", MadeRun(STOPS))
-    write_folder(folder, pictures=False)
+def test_the_table_of_an_earlier_version_is_read_without_learnt_values(written: Path) -> None:
+    folder = written
     with (folder / "taps.csv").open() as stream:
         rows = list(csv.DictReader(stream))
     kept = [name for name in rows[0] if not name.startswith("learnt")]
@@ -183,9 +194,7 @@ def test_the_table_of_an_earlier_version_is_read_without_learnt_values(tmp_path:
         "namespace",
     ],
 )
-def test_every_result_is_reported_correctly(
-    made: MadeRun, outcome: str, words: str, tmp_path: Path
-) -> None:
+def test_every_result_is_reported_correctly(made, outcome, words, tmp_path):
     folder = make(tmp_path / "run", made)
     run = write_folder(folder, pictures=False)
     content = json.loads((folder / "summary.json").read_text())
@@ -272,14 +281,10 @@ def test_a_failure_completes_an_unfinished_run_and_no_other(tmp_path: Path) -> N
 @pytest.mark.parametrize(
     ("name", "content"), [("summary.json", "{"), ("summary.json", "{}"), ("taps.csv", "tap\nx\n")]
 )
-def test_a_damaged_folder_is_refused_with_a_message(
-    name: str, content: str, tmp_path: Path
-) -> None:
-    folder = make(tmp_path / "run", MadeRun(STOPS))
-    write_folder(folder, pictures=False)
-    (folder / name).write_text(content)
+def test_a_damaged_folder_is_refused_with_a_message(name: str, content: str, written: Path) -> None:
+    (written / name).write_text(content)
     with pytest.raises(RunError, match="damaged or of another version"):
-        read_run(folder)
+        read_run(written)
 
 
 def test_a_missing_folder_is_refused_with_a_message(tmp_path: Path) -> None:
@@ -291,9 +296,7 @@ poses = st.builds(Pose, st.floats(-1, 1), st.floats(-1, 1), st.floats(-10, 10))
 
 
 @given(goal=poses, pose=poses)
-def test_residuals_use_the_shortest_rotation_and_decide_what_is_inside(
-    goal: Pose, pose: Pose
-) -> None:
+def test_residuals_use_the_shortest_rotation_and_decide_what_is_inside(goal, pose):
     left = residual(goal, pose)
     assert left is not None
     assert 0 <= left["rotation_deg"] <= 180 + 1e-9
@@ -303,7 +306,7 @@ def test_residuals_use_the_shortest_rotation_and_decide_what_is_inside(
     assert not inside(goal, None, (1.0, 4.0))
 
 
-@settings(deadline=None, max_examples=8)
+@settings(max_examples=settings.default.max_examples // 5)
 @given(
     stops=st.lists(
         st.builds(Pose, st.floats(-0.2, 0.2), st.floats(-0.15, 0.15), st.floats(-3, 3)),
@@ -311,9 +314,7 @@ def test_residuals_use_the_shortest_rotation_and_decide_what_is_inside(
         max_size=5,
     )
 )
-def test_a_run_with_any_taps_is_read_back_unchanged(
-    stops: list[Pose], tmp_path_factory: pytest.TempPathFactory
-) -> None:
+def test_a_run_with_any_taps_is_read_back_unchanged(stops, tmp_path_factory):
     folder = tmp_path_factory.mktemp("run")
     run = read_illustrated_run(MadeRun(stops).write(folder) / "bag").run
     assert len(run.taps) == len(stops) - 1

@@ -42,11 +42,11 @@ def errors(found: np.ndarray, pose: np.ndarray) -> tuple[float, float]:
 
 
 def test_one_frame_by_edges_and_by_all_pixels():
-    """Check the accuracy stated in the documentation (median and 90 % quantile of 24 scenes), and
-    the covariance."""
+    """Check the accuracy stated in the documentation (median and 90 % quantile of twelve scenes),
+    and the covariance."""
     template = make_template(MARKER, PIXEL, 0.35 * PIXEL)
     by_edges, by_pixels, normalised = [], [], []
-    for seed in range(24):
+    for seed in range(12):
         image, pose, quad = scene(seed)
         edges = refine(image, quad[None], 8)
         fit = fit_marker(VIEW, edges, 0, MARKER)
@@ -63,14 +63,14 @@ def test_one_frame_by_edges_and_by_all_pixels():
     assert np.all(np.quantile(by_edges, 0.9, axis=0) < [0.02, 0.05])
     assert np.all(np.median(by_pixels, axis=0) < [0.002, 0.003])
     assert np.all(np.quantile(by_pixels, 0.9, axis=0) < [0.005, 0.01])
-    # The chi-square value of 24 scenes with 3 degrees of freedom each is between 40 and 115 with a
-    # probability of 99.8 %.
-    assert 40 / 24 < np.mean(normalised) < 115 / 24
+    # The chi-square value of 12 scenes with 3 degrees of freedom each is between 14.4 and 67.9 with
+    # a probability of 99.8 %.
+    assert 14.4 / 12 < np.mean(normalised) < 67.9 / 12
 
 
 def test_a_stationary_marker_is_aligned_in_one_step_as_by_a_full_alignment():
     template = make_template(MARKER, PIXEL, 0.65 * PIXEL)
-    for seed in range(6):
+    for seed in range(3):
         first, pose, quad = scene(seed)
         noise = np.random.default_rng(seed).normal(0.0, 2.0, first.shape)
         image = np.clip(np.rint(first + noise), 0, 255).astype(np.uint8)
@@ -212,7 +212,7 @@ def test_a_motion_blurred_marker_is_accurate_or_reported_as_uncertain(smear):
     """The marker is smeared by ``smear`` pixels, and the search begins up to three pixels away."""
     random = np.random.default_rng(int(smear))
     measured = 0
-    for _ in range(4):
+    for _ in range(2):
         pose = random.uniform([-0.2, -0.15, -np.pi], [0.2, 0.15, np.pi])
         angle = random.uniform(-np.pi, np.pi)
         step = smear * PIXEL * np.array([np.cos(angle), np.sin(angle), 0.0])
@@ -229,4 +229,4 @@ def test_a_motion_blurred_marker_is_accurate_or_reported_as_uncertain(smear):
         error = fit.pose - pose
         error[2] = wrap_angle(error[2])
         assert error @ np.linalg.solve(fit.covariance, error) < 25.0
-    assert measured == 4 or smear > 10.0
+    assert measured == 2 or smear > 10.0

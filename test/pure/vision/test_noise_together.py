@@ -17,7 +17,7 @@ from tapping_cell.vision.markers.photometric import align, make_template
 VIEW = View(CAMERA, POSE)
 PIXEL = 0.7 / 1150.0
 PLACE = np.array([0.04, -0.03, 0.5])
-DRAWS = 40
+DRAWS = 16
 
 
 def smoothed(image: np.ndarray) -> np.ndarray:
@@ -50,9 +50,9 @@ def test_the_normalised_error_is_correct_for_any_camera_noise_processing(camera)
         error = aligned.pose - PLACE
         error[2] = wrap_angle(error[2])
         normalised.append(error @ np.linalg.solve(aligned.covariance, error))
-    # The mean is a chi-square value with 120 degrees of freedom, divided by 40. The asserted bounds
-    # are at four standard deviations.
-    assert 1.5 < np.mean(normalised) < 4.5
+    # The bounds are three standard deviations of the mean of chi-square values with 3 degrees of
+    # freedom.
+    assert abs(np.mean(normalised) - 3.0) < 3.0 * np.sqrt(6.0 / DRAWS)
 
 
 @pytest.mark.parametrize(("block", "least", "most"), [(1, 0.8, 1.2), (4, 2.0, 4.0)])
