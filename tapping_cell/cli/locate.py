@@ -57,9 +57,9 @@ from tapping_cell.vision import (
     PoseTracker,
     ReferenceMap,
     TrackerSettings,
-    annotate,
     marker_ids,
 )
+from tapping_cell.vision.annotate import annotate
 from tapping_cell.vision.markers.detection import dictionary_name
 
 FRAME_PERIOD = 1.0 / 30.0

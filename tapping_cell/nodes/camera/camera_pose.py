@@ -48,9 +48,9 @@ from tapping_cell.vision import (
     Problem,
     RoundRobin,
     TrackerSettings,
-    annotate,
     marker_ids,
 )
+from tapping_cell.vision.annotate import annotate
 
 CODES = {
     Problem.NONE: ErrorCode.NONE,

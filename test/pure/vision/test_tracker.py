@@ -21,8 +21,8 @@ from tapping_cell.vision import (
     PoseTracker,
     Problem,
     ReferenceMap,
-    annotate,
 )
+from tapping_cell.vision.annotate import annotate
 from tapping_cell.vision.table.tracker import TableTracker
 
 HOME = np.array([0.1, 0.05, 0.4])

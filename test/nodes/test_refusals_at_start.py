@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
+import importlib
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -12,12 +11,14 @@ import pytest
 from tapping_cell.configuration.files import shared_folder
 from tapping_cell.nodes import MODULES
 
+pytestmark = pytest.mark.usefixtures("own_signals")
 NODES = ("camera_pose", "tap_planner", "scara_arm", "tapper_trigger", "sim_world")
 
 
-def run_node(node: str, *arguments: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", MODULES[node], "--ros-args", *arguments]
-    return subprocess.run(command, capture_output=True, text=True, timeout=150, check=False)
+def run_node(capsys: pytest.CaptureFixture[str], node: str, *arguments: str) -> tuple[int, str]:
+    """Run the main function of a node; return its exit code and its errors."""
+    status = importlib.import_module(MODULES[node]).main(["--ros-args", *arguments])
+    return status, capsys.readouterr().err
 
 
 def wrong_cell(tmp_path: Path, old: str, new: str) -> Path:
@@ -32,13 +33,13 @@ def wrong_cell(tmp_path: Path, old: str, new: str) -> Path:
 
 @pytest.mark.parametrize("node", NODES)
 def test_an_unknown_key_in_the_cell_file_is_refused_with_file_and_key(
-    node: str, tmp_path: Path
+    node: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = wrong_cell(tmp_path, "upper_arm: 0.425", "upper_leg: 0.425")
-    ended = run_node(node, "-p", f"cell_file:={path}")
-    assert ended.returncode == 1
-    assert f"{path}: unknown key 'arm.upper_leg'" in ended.stderr
-    assert "Traceback" not in ended.stderr
+    status, errors = run_node(capsys, node, "-p", f"cell_file:={path}")
+    assert status == 1
+    assert f"{path}: unknown key 'arm.upper_leg'" in errors
+    assert "Traceback" not in errors
 
 
 @pytest.mark.parametrize(
@@ -52,13 +53,13 @@ def test_an_unknown_key_in_the_cell_file_is_refused_with_file_and_key(
     ids=["malformed", "type", "range", "missing file"],
 )
 def test_an_invalid_cell_file_is_refused_with_value_and_range(
-    old: str, new: str, words: tuple[str, ...], tmp_path: Path
+    old: str, new: str, words: tuple[str, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = wrong_cell(tmp_path, old, new)
-    ended = run_node("tap_planner", "-p", f"cell_file:={path}")
-    assert ended.returncode == 1
+    status, errors = run_node(capsys, "tap_planner", "-p", f"cell_file:={path}")
+    assert status == 1
     for word in words:
-        assert word in ended.stderr
+        assert word in errors
 
 
 @pytest.mark.parametrize(
@@ -72,10 +73,10 @@ def test_an_invalid_cell_file_is_refused_with_value_and_range(
     ids=["unknown", "type", "range", "method"],
 )
 def test_an_invalid_parameter_is_refused_with_value_and_range(
-    arguments: tuple[str, ...], words: tuple[str, ...]
+    arguments: tuple[str, ...], words: tuple[str, ...], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    ended = run_node("tap_planner", *arguments)
-    assert ended.returncode == 1
+    status, errors = run_node(capsys, "tap_planner", *arguments)
+    assert status == 1
     for word in words:
-        assert word in ended.stderr, ended.stderr
-    assert "Traceback" not in ended.stderr
+        assert word in errors, errors
+    assert "Traceback" not in errors
