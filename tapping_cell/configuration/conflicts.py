@@ -37,10 +37,10 @@ def conflicts(cell: Cell) -> tuple[list[str], list[str]]:
     reports a risk: a goal may fail, the quill may sink, or a port does not exist yet."""
     if cell.file.fixed_tappers is not None:
         errors = [*_markers(cell), *_fixed_tappers(cell), *_further_objects(cell)]
-        return errors, [*_lens(cell), *_noise(cell), *_ports(cell)]
+        return errors, [*_noise(cell), *_ports(cell)]
     errors = [*_markers(cell), *_heights(cell), *_joints(cell), *_curve(cell), *_planner(cell)]
     errors += _further_objects(cell)
-    warnings = [*_lens(cell), *_noise(cell), *_ports(cell), *_brake(cell)]
+    warnings = [*_noise(cell), *_ports(cell), *_brake(cell)]
     reach_errors, reach_warnings = _reach(cell)
     return errors + reach_errors, [*warnings, *reach_warnings, *chain_reach(cell)]
 
@@ -56,15 +56,6 @@ def _markers(cell: Cell) -> Iterator[str]:
                 f"{cell.object_path}: key 'marker.id' is {marker.id}, which is a reference marker "
                 f"of the table too ({min(taken)} to {max(taken)}); give the object another id"
             )
-    half = marker.size / 2 * math.sqrt(2)
-    reach = max(math.hypot(x, y) for x, y in cell.outline())
-    off = math.hypot(*marker.offset[:2])
-    if off + half > reach + 1e-9:
-        yield (
-            f"{cell.object_path}: the marker of {1e3 * marker.size:.1f} mm at {1e3 * off:.1f} mm "
-            "from the centre extends beyond the object's outline, whose largest radius is "
-            f"{1e3 * reach:.1f} mm; use a smaller marker"
-        )
 
 
 def _further_objects(cell: Cell) -> Iterator[str]:
@@ -263,28 +254,6 @@ def _fixed_tappers(cell: Cell) -> Iterator[str]:
             f"example from ({place[0]:.0f} mm, {place[1]:.0f} mm)); add tappers, place "
             "their lines closer to the middle, lengthen their strokes, or make "
             "fixed_tappers.working_area smaller; check-config --drawing FILE draws these places"
-        )
-
-
-def _lens(cell: Cell) -> Iterator[str]:
-    camera = cell.camera
-    matrix = camera.matrix
-    file = cell.path.parent / cell.file.camera_info
-    for name, value, size in (
-        ("column", float(matrix[0, 2]), camera.width),
-        ("row", float(matrix[1, 2]), camera.height),
-    ):
-        if not size / 4 <= value <= 3 * size / 4:
-            yield (
-                f"{file}: the principal point's {name} {value:.0f} is far from the image's "
-                f"centre ({size / 2:.0f}): image_width, image_height and camera_matrix may belong "
-                "to different resolutions"
-            )
-    ratio = float(matrix[0, 0] / matrix[1, 1])
-    if not 0.9 < ratio < 1.1:
-        yield (
-            f"{file}: the focal lengths differ by a factor of {ratio:.2f}; square pixels give "
-            "nearly 1; run calibrate camera"
         )
 
 
