@@ -19,7 +19,7 @@ ARROWS = {
     "messages": set(),
     "mechanics": {"se2"},
     "vision": {"se2"},
-    "hardware": {"se2"},
+    "hardware": {"se2", "vision.images"},
     "planning": {"se2", "durable_file", "mechanics"},
     "configuration": {"se2", "mechanics", "vision", "hardware", "planning"},
     # The simulation uses the protocols of the devices and renders the camera's images.
@@ -75,6 +75,7 @@ HOMES = {
     "distributed": {"cli"},
     "rich": {"cli", "report"},
     "rosbags": {"report"},
+    "PIL": {"vision"},
     "tornado": {"nodes"},
     "argcomplete": {"cli"},
 }

@@ -386,7 +386,7 @@ def dependencies(package_xml: Path) -> set[str]:
 
 def test_every_imported_package_is_declared():
     keys = {"cv2": "python3-opencv", "yaml": "python3-yaml", "serial": "python3-serial"}
-    keys["rosbags"] = "python3-rosbags-pip"
+    keys |= {"rosbags": "python3-rosbags-pip", "PIL": "python3-pil"}
     declared = dependencies(ROOT / "package.xml")
     imported = set()
     for file in [*(ROOT / "tapping_cell").rglob("*.py"), *(ROOT / "launch").rglob("*.py")]:

@@ -18,6 +18,7 @@ import math
 import os
 import re
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -46,6 +47,7 @@ from tapping_cell.cli.image_output import (
     write_image,
 )
 from tapping_cell.configuration.table import load_camera_model
+from tapping_cell.vision.images import ImageRefused, read_photograph
 
 IMAGE_ENDINGS = {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm"}
 COVERAGE = "coverage.png"
@@ -129,9 +131,10 @@ def run(arguments: argparse.Namespace) -> int:
     target = _target(arguments)
     paths = image_files(arguments.images)
     pictures = None if arguments.annotate is None else annotated_files(arguments.annotate, paths)
-    views, size, unseen = _find(paths, target, quiet=arguments.json)
+    views, size, unseen, notes = _find(paths, target, quiet=arguments.json)
     model = None if arguments.model == "auto" else arguments.model
     result = calibrate_camera(views, target, size, model, unseen)
+    result = replace(result, warnings=(*result.warnings, *notes))
     record = camera_record(result, target.describe(), paths)
     if pictures is not None:
         write_pictures(pictures, result, arguments.annotate / COVERAGE)
@@ -189,12 +192,6 @@ def image_files(paths: list[Path]) -> list[Path]:
     return list(different.values())
 
 
-def read_grey(path: Path) -> NDArray[np.uint8] | None:
-    """Read a photograph as a grey image, ignoring the rotation flag of the file."""
-    image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION)
-    return None if image is None else np.asarray(image, dtype=np.uint8)
-
-
 def one_size(sizes: dict[str, tuple[int, int]]) -> tuple[int, int]:
     """Return the common size (width, height) of all images. The keys of ``sizes`` are the names of
     the images.
@@ -208,50 +205,62 @@ def one_size(sizes: dict[str, tuple[int, int]]) -> tuple[int, int]:
     size, number = counted[0]
     if len(counted) > 1:
         odd = [f"{name} ({w} x {h})" for name, (w, h) in sizes.items() if (w, h) != size]
-        shown = ", ".join(odd[:6]) + (f" and {len(odd) - 6} more" if len(odd) > 6 else "")
         raise CalibrationRefused(
-            f"the images differ in size: {number} are {size[0]} x {size[1]} pixels, but {shown}."
+            f"the images differ in size: {number} are {size[0]} x {size[1]} pixels, but "
+            f"{name_some(odd)}."
             " A calibration is valid for one image size; leave out the images of other sizes"
         )
     return size
 
 
+def name_some(names: list[str]) -> str:
+    """Return the first six names and the number of further names."""
+    return ", ".join(names[:6]) + (f" and {len(names) - 6} more" if len(names) > 6 else "")
+
+
 def _find(
     paths: list[Path], target: Target, quiet: bool
-) -> tuple[list[TargetView], tuple[int, int], list[Rejected]]:
-    """Return the detected views of the target, the image size (width, height), and the rejected
-    files with the reasons."""
+) -> tuple[list[TargetView], tuple[int, int], list[Rejected], list[str]]:
+    """Return the detected views of the target, the image size (width, height), the rejected files
+    with the reasons, and the warnings about the files."""
     images = {}
+    warned: dict[str, list[str]] = {}
     names = distinct_names(paths)
     unseen: list[Rejected] = []
     for path in paths:
-        image = read_grey(path)
-        if image is None:
-            unseen.append(Rejected(names[path], "cannot be read as an image"))
-        else:
-            images[path] = (image.shape[1], image.shape[0])
+        try:
+            image = read_photograph(path)
+            images[path] = image.size
+            for warning in image.warnings:
+                warned.setdefault(warning, []).append(names[path])
+        except ImageRefused as error:
+            unseen.append(Rejected(names[path], str(error)))
     size = one_size({names[path]: shape for path, shape in images.items()})
     views = []
     console = Console(stderr=True)
     hidden = quiet or not console.is_terminal
     for path in track(images, "detecting the target", console=console, disable=hidden):
-        image = read_grey(path)
-        if image is None:
+        try:
+            image = read_photograph(path)
+        except ImageRefused:
             continue  # the file was deleted after it had been listed
-        found = find_target(image, target, names[path])
+        found = find_target(image.pixels, target, names[path])
         if isinstance(found, str):
-            unseen.append(Rejected(names[path], found))
+            unseen.append(Rejected(names[path], image.explain(found, visible=False)))
         else:
             views.append(found)
     if not views:
         for path in list(images)[:5]:
-            image = read_grey(path)
-            idea = hint(image, target) if image is not None else ""
+            try:
+                idea = hint(read_photograph(path).pixels, target)
+            except ImageRefused:
+                continue  # deleted, as above
             if idea:
                 raise CalibrationRefused(
                     f"no photograph shows the {target.describe()}; in {names[path]} {idea}"
                 )
-    return views, size, unseen
+    notes = [f"{warning} ({name_some(files)})" for warning, files in warned.items()]
+    return views, size, unseen, notes
 
 
 def report(result: CameraCalibration, path: Path) -> dict[str, Any]:
@@ -337,12 +346,13 @@ def write_pictures(pictures: dict[Path, Path], result: CameraCalibration, covera
     whole = np.full(size, 255, dtype=np.uint8)
     for entry in result.views:
         path = paths[entry.view.name]
-        image = read_grey(path)
-        if image is None:
+        try:
+            image = read_photograph(path)
+        except ImageRefused as error:
             raise OSError(
                 f"{path} can no longer be read; keep the photographs, and repeat the command"
-            )
-        picture = np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR), dtype=np.uint8)
+            ) from error
+        picture = np.asarray(cv2.cvtColor(image.pixels, cv2.COLOR_GRAY2BGR), dtype=np.uint8)
         _draw(picture, entry, scale)
         _draw(whole, entry, scale)
         write_image(pictures[path], picture)
