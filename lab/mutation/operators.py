@@ -1,4 +1,4 @@
-"""Mutation operators: small changes of a function's syntax tree, each of which a test should notice.
+"""Mutation operators: small changes of the syntax tree, each of which a test should notice.
 
 An operator returns the nodes that may replace one node. Error sentences, log messages, assertions
 and annotations are left alone: no test should depend on the wording.
