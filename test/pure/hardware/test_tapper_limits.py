@@ -5,11 +5,21 @@ from __future__ import annotations
 
 from typing import cast
 
+import pytest
 from hardware_faults import expect_fault
+from hypothesis import given
+from hypothesis import strategies as st
 
 from tapping_cell.hardware.faults import FaultReason
 from tapping_cell.hardware.tapper import LONGEST_CHARGE, FireOutcome, TapperDriver
-from tapping_cell.hardware.tapper_protocol import Command, Mode, Reply, Result, State
+from tapping_cell.hardware.tapper_protocol import (
+    LONGEST_WINDOW,
+    Command,
+    Mode,
+    Reply,
+    Result,
+    State,
+)
 from tapping_cell.hardware.transport import Transport
 from tapping_cell.simulation.fault_layer import FaultLayer
 from tapping_cell.simulation.tapper_emulator import TapperEmulator
@@ -43,6 +53,73 @@ def test_unknown_is_reported_only_when_a_release_is_impossible_even_during_a_sto
     result = driver.fire(1, 0.1, lambda release_by: True)
     assert driver.stopped and result.outcome is FireOutcome.UNKNOWN
     assert clock.now >= driver.release_impossible_after
+
+
+class LossyLine(VirtualTransport):
+    """A line that loses every FIRE, and records when it was sent."""
+
+    def __init__(self, line: FaultLayer, clock: VirtualClock) -> None:
+        super().__init__(line, clock, "tapper")
+        self.sent: list[float] = []
+
+    def write(self, data: bytes, timeout: float = 1.0) -> None:
+        is_fire = Command.FIRE.value.encode() in data
+        if is_fire:
+            self.sent.append(self.now())
+        super().write(b"" if is_fire else data, timeout)
+
+
+@given(st.floats(0.001, LONGEST_WINDOW), st.integers(0, 3))
+def test_fire_is_sent_again_only_within_its_window_and_after_another_check(
+    window: float, allowed: int
+) -> None:
+    clock = VirtualClock()
+    line = LossyLine(FaultLayer(TapperEmulator(now=clock.now)), clock)
+    driver = TapperDriver(line, draw_number=lambda below: 7)
+    driver.connect()
+    driver.charge(1, 0.001)
+    checks: list[float] = []
+
+    def check(release_by: float) -> bool:
+        checks.append(clock.now)
+        return len(checks) <= allowed
+
+    result = driver.fire(1, window, check)
+    assert result.outcome is FireOutcome.NOT_FIRED
+    assert len(line.sent) <= allowed
+    assert all(sent < checks[0] + window for sent in line.sent)
+    resent = 1 + int(window / driver.settings.fire_reply_timeout)
+    assert len(line.sent) >= min(allowed, resent, driver.settings.attempts) - 1
+
+
+class Misunderstanding(TapperDriver):
+    """A board that is charged with other arguments than those requested."""
+
+    def __init__(self, shot: int, energy: float, channel: int) -> None:
+        self.commands = list[Command]()
+        super().__init__(cast(Transport, Time()))
+        self._channels = 8
+        self._charged = shot, energy, channel
+
+    def _request(self, command: Command, *arguments: int | Mode) -> Reply:
+        self.commands.append(command)
+        shot, energy, channel = self._charged
+        state = State.CHARGED if command is Command.CHARGE else State.SAFE
+        return Reply(
+            1, 1, Result.OK, state, shot, energy, True, False, 0, None, 1, 0, Mode.RUN, False,
+            channels=8, at_mounts=255, channel=channel,
+        )  # fmt: skip
+
+
+@pytest.mark.parametrize("charged", [(5, 0.02, 2), (5, 0.01, 3), (5, 0.01, 0), (6, 0.01, 2)])
+def test_a_board_that_is_charged_otherwise_than_requested_is_discharged(
+    charged: tuple[int, float, int],
+) -> None:
+    driver = Misunderstanding(*charged)
+    with pytest.raises(HardwareFault) as met:
+        driver.charge(5, 0.01, channel=2)
+    assert met.value.reason is FaultReason.REJECTED
+    assert driver.commands[-1] is Command.DISCHARGE
 
 
 class Time:

@@ -70,11 +70,12 @@ def in_position() -> Pair:
     return pair
 
 
-def read(pair: Pair, joints: Joints, steady: float) -> list[ArmState]:
+def read(pair: Pair, joints: Joints, steady: float, **changed: bool) -> list[ArmState]:
     """Process a position report of the arm; return the published states."""
     made = pair.arm.on_tick(at(steady))
     (number,) = jobs(made)
-    made = pair.arm.on_job(JobEnded(number, Reading(True, joints, False, steady)), at(steady))
+    reading = replace(Reading(True, joints, False, steady), **changed)
+    made = pair.arm.on_job(JobEnded(number, reading), at(steady))
     return messages(made, "arm_state")
 
 
@@ -89,6 +90,35 @@ def test_an_arm_pushed_off_its_position_is_a_fault() -> None:
     read(pair, pushed, START + 1.3)
     read(pair, pushed, START + 1.4)
     assert pair.arm.state is arms.State.FAULT
+    assert pair.arm.error[0] == ErrorCode.ARM_POSITION_MISMATCH
+
+
+@pytest.mark.parametrize(
+    ("joints", "changed"),
+    [
+        *(({joint: sign * 0.01}, {}) for joint in Joints._fields for sign in (1, -1)),
+        ({}, {"moving": True}),
+        ({}, {"homed": False}),
+    ],
+)
+def test_an_arm_that_may_have_moved_promises_nothing_and_a_second_such_reading_is_a_fault(
+    joints: dict[str, float], changed: dict[str, bool]
+) -> None:
+    pair = Pair()
+    call = pair.begin()
+    off = PARK._replace(**{name: getattr(PARK, name) + by for name, by in joints.items()})
+
+    def is_granted(steady: float) -> bool:
+        made = pair.arm.on_request("hold_still", call.request, 1, at(steady))
+        return bool(next(e.response.granted for e in made if isinstance(e, Answer)))
+
+    read(pair, off, START + 1.0, **changed)
+    assert not is_granted(START + 1.01)
+    assert pair.arm.state is arms.State.IN_POSITION
+    read(pair, PARK, START + 1.1)
+    assert is_granted(START + 1.11)
+    for later in (1.2, 1.3):
+        read(pair, off, START + later, **changed)
     assert pair.arm.error[0] == ErrorCode.ARM_POSITION_MISMATCH
 
 

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import pytest
-from hypothesis import given
+from hypothesis import assume, example, given
 from hypothesis import strategies as st
 
 from tapping_cell.logic.cell_monitor import NAMES, QUICKEST_IMAGE_S, CellMonitor
@@ -24,6 +24,7 @@ from tapping_cell.messages import (
     ObjectStates,
     PlanState,
     TapperState,
+    Time,
 )
 from tapping_cell.se2 import Pose
 
@@ -178,6 +179,51 @@ def test_a_tapper_fires_whichever_clock_is_ahead(arm_ahead, camera_ahead, delays
         peers.on_plan_state(plan, at(received))
         peers.on_object_state(seen(taken, camera_ahead), at(received))
     assert peers.check_firing(7, Pose(0.0, 0.0, 0.0), Pose(0.0, 0.0, 0.0), at(received)) is None
+
+
+@pytest.mark.parametrize("stamped", [True, False])
+@pytest.mark.parametrize("late", ["arm", "planner", "camera"])
+@given(delay=st.floats(0.0, 0.5), waited=st.floats(0.0, 0.5))
+@example(delay=0.25, waited=0.25)
+def test_a_message_is_as_old_as_its_stamp_or_without_a_stamp_as_its_arrival(
+    late: str, delay: float, waited: float, stamped: bool
+) -> None:
+    """One peer's last message waits ``delay`` s in a queue, and the tap is checked ``waited`` s
+    after its arrival. The other peers are prompt."""
+    peers, here, limits = (
+        TapperPeers(PeerLimits(unseen=math.inf)),
+        Pose(0.0, 0.0, 0.0),
+        PeerLimits(),
+    )
+    peers.begin_tap("", 0.0)
+
+    def send(who: str, taken: float, received: float, stamped: bool = True) -> None:
+        arm = ArmState(state=ArmState.IN_POSITION, tap_id=7)
+        message, receive = {
+            "arm": (arm, peers.on_arm_state),
+            "planner": (PlanState(state=PlanState.FIRING), peers.on_plan_state),
+            "camera": (seen(0.0, 0.0), peers.on_object_state),
+        }[who]
+        message.header.stamp = Time()
+        if stamped:
+            stamp_of(message, taken, 0.0)
+        receive(message, at(received))
+
+    for who in ("arm", "planner", "camera"):
+        send(who, 1.0, 1.0)  # from now on, the delay of each peer is known to be 0
+    arrival = 2.0 + delay
+    for who in ("arm", "planner", "camera"):
+        taken = 2.0 if who == late else arrival + waited
+        send(who, taken, arrival if who == late else taken, stamped or who != late)
+    limit, code = {
+        "arm": (limits.arm_freshness, ErrorCode.TAPPER_ARM_NOT_IN_POSITION),
+        "planner": (limits.silence, ErrorCode.NOT_READY),
+        "camera": (limits.silence, ErrorCode.CAMERA_SILENT),
+    }[late]
+    age = waited + (delay if stamped else 0.0)
+    assume(abs(age - limit) > 1e-6)
+    reason = peers.check_firing(7, here, here, at(arrival + waited))
+    assert (reason[0] if reason else ErrorCode.NONE) == (code if age > limit else ErrorCode.NONE)
 
 
 @pytest.mark.parametrize("needed", [True, False])

@@ -3,16 +3,22 @@ virtual time."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import pytest
+from test_permit import START, Pair, at, board, jobs
 from virtual_node import VirtualNode
 
 from tapping_cell.configuration.cell import load_cell
 from tapping_cell.configuration.files import shared_folder
 from tapping_cell.hardware.tapper import TapperDriver
+from tapping_cell.hardware.tapper_protocol import State as BoardState
+from tapping_cell.logic.effects import JobEnded
+from tapping_cell.logic.host import Activated, Configured
 from tapping_cell.logic.poses import to_message
 from tapping_cell.logic.tapper import TapperLogic, TapperOptions
+from tapping_cell.logic.tapper_jobs import ChargeEnd, Status
 from tapping_cell.messages import (
     ErrorCode,
     ObjectState,
@@ -179,3 +185,17 @@ def test_a_board_without_switches_fires_nothing(machine: TapperMachine) -> None:
     ring.command(100, "east")
     ring.run(1.0)
     assert ring.shots() == []
+
+
+def test_a_fixed_tapper_does_not_fire_before_it_is_charged() -> None:
+    tapper = TapperLogic(TapperOptions())
+    reply = replace(board(BoardState.SAFE), channels=8, at_mounts=255)
+    tapper.on_lifecycle(Configured(CELL, reply), at(START))
+    tapper.on_lifecycle(Activated(), at(START))
+    command = Pair().command(TapCommand.TAP, at(START))
+    (charge,) = jobs(tapper.on_message("tap_command", replace(command, tapper="west"), at(START)))
+    assert tapper.check_charging(at(START)) is None
+    assert tapper.check_firing(START, at(START)) is not None
+    charged = ChargeEnd(Status(replace(reply, state=BoardState.CHARGED), 0), True, None)
+    assert jobs(tapper.on_job(JobEnded(charge, charged), at(START + 0.02)))
+    assert tapper.check_firing(START, at(START + 0.02)) is None

@@ -6,6 +6,7 @@ any time between two steps. The board fires within its time window or not at all
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 
 import pytest
@@ -16,7 +17,7 @@ from logic_parts import board_reply as board
 from tapping_cell.configuration.cell import load_cell
 from tapping_cell.hardware.faults import FaultReason, HardwareFault
 from tapping_cell.hardware.scara import Joints
-from tapping_cell.hardware.tapper import FireOutcome
+from tapping_cell.hardware.tapper import CLOCK_TOLERANCE, FireOutcome
 from tapping_cell.hardware.tapper_protocol import LONGEST_PULSE
 from tapping_cell.hardware.tapper_protocol import State as BoardState
 from tapping_cell.logic import arm as arms
@@ -24,8 +25,17 @@ from tapping_cell.logic import permit
 from tapping_cell.logic import tapper as tappers
 from tapping_cell.logic.arm_jobs import MotionEnd, Reading
 from tapping_cell.logic.clock import Now, to_stamp
-from tapping_cell.logic.effects import Answer, Call, Effect, Job, JobEnded, Publish, RunJob
-from tapping_cell.logic.host import Activated, Configured
+from tapping_cell.logic.effects import (
+    AbandonJob,
+    Answer,
+    Call,
+    Effect,
+    Job,
+    JobEnded,
+    Publish,
+    RunJob,
+)
+from tapping_cell.logic.host import Activated, Configured, ShutDown
 from tapping_cell.logic.poses import to_message
 from tapping_cell.logic.tapper_jobs import WINDOW_S, ChargeEnd, FireEnd, Status
 from tapping_cell.messages import ArmState, ErrorCode, HoldStill, TapCommand, TapperState
@@ -202,6 +212,30 @@ def test_a_slightly_shorter_grant_ends_the_permit_earlier() -> None:
     assert pair.tapper.check_firing(last + 1e-6, at(START + 0.002)) is not None
 
 
+def test_the_constants_cover_the_documented_times() -> None:
+    """docs/safety.md: a striker may be slower than predicted, and the board's clock may be off."""
+    assert permit.flight(STROKE, SPEED) == pytest.approx(1.1 * STROKE / SPEED)
+    assert permit.hold(0.5) == pytest.approx(0.67)
+    assert permit.RELEASE_S >= (WINDOW_S + LONGEST_PULSE) * (1 + CLOCK_TOLERANCE)
+    assert permit.RELEASED_S >= LONGEST_PULSE * (1 + CLOCK_TOLERANCE)
+    assert permit.BEFORE_FLIGHT_S > permit.RELEASE_S
+
+
+@given(st.floats(0.0, 0.3), st.floats(CURVE.slowest, CURVE.fastest))
+def test_an_answer_that_leaves_too_little_time_is_requested_again(
+    late: float, speed: float
+) -> None:
+    pair = Pair(speed=speed)
+    call = pair.begin()
+    response = HoldStill.Response(
+        granted=True, duration=call.request.duration, arm_key=pair.arm_state.arm_key
+    )
+    made = pair.tapper.on_answer(call.token, response, at(START + late))
+    is_late = late > permit.BEFORE_FLIGHT_S - permit.RELEASE_S
+    assert [effect for effect in made if isinstance(effect, Call)] or not is_late
+    assert bool(jobs(made)) != is_late
+
+
 @pytest.mark.parametrize("state", [ArmState.MOVING, ArmState.FAULT, ArmState.WITHDRAWING])
 def test_the_last_check_refuses_an_arm_that_reports_another_state_despite_its_promise(state):
     pair = Pair()
@@ -232,6 +266,37 @@ def test_the_arm_promises_only_on_a_fresh_reading_and_before_the_tap_expires(lat
     made = pair.arm.on_request("hold_still", call.request, 1, at(START + late))
     (answer,) = [effect for effect in made if isinstance(effect, Answer)]
     assert answer.response.granted == (late <= arms.FRESH_READING_S)
+
+
+@pytest.mark.parametrize("late", [-0.05, 0.05])
+def test_the_arm_promises_nothing_for_a_tap_that_has_just_expired(late: float) -> None:
+    """The arm has not withdrawn yet, and its reading is fresh. The tap expires 20 s after START."""
+    pair = Pair()
+    call = pair.begin()
+    (reading,) = jobs(pair.arm.on_tick(at(START + 19.9)))
+    here = Reading(True, Joints(*CELL.file.arm.park), False, START + 19.9)
+    pair.arm.on_job(JobEnded(reading, here), at(START + 19.91))
+    made = pair.arm.on_request("hold_still", call.request, 1, at(START + 20.0 + late))
+    (answer,) = [effect for effect in made if isinstance(effect, Answer)]
+    assert answer.response.granted == (late < 0)
+
+
+@pytest.mark.parametrize("end", ["stop", "defect", "closed"])
+def test_the_end_of_a_job_that_a_stop_overtook_changes_nothing(end: str) -> None:
+    pair = Pair()
+    charge = pair.begin_charging()
+    tapper, now = pair.tapper, at(START + 0.1)
+    made = {
+        "stop": lambda: tapper.on_request("~/stop", None, 1, now),
+        "defect": lambda: tapper.on_defect(RuntimeError("for this test"), now),
+        "closed": lambda: tapper.on_lifecycle(ShutDown(), now),
+    }[end]()
+    assert AbandonJob(charge) in made
+    state = tapper.state
+    ended = JobEnded(charge, ChargeEnd(Status(board(BoardState.CHARGED, TAP), 0), True, None))
+    made = tapper.on_job(ended, at(START + 0.2))
+    assert tapper.state is state
+    assert not [effect for effect in made if isinstance(effect, Call | RunJob)]
 
 
 def test_a_tap_withdrawn_at_the_end_of_charging_discharges_the_striker() -> None:
@@ -295,6 +360,20 @@ def test_only_the_requester_of_the_promise_can_end_it(key, tap_id, after, outcom
     held = not_before(pair, START + after)
     ended = (key, tap_id) == (call.request.key, TAP)
     assert held == (START + after if ended else START + permit.hold(permit.flight(STROKE, SPEED)))
+
+
+@given(st.floats(max_value=-1e-9, allow_nan=False) | st.just(math.nan))
+def test_a_duration_that_is_no_time_does_not_end_the_promise(duration: float) -> None:
+    pair = Pair()
+    call = pair.begin()
+    pair.tell_key(START)
+    pair.arm.on_request("hold_still", call.request, 1, at(START))
+    request = HoldStill.Request(tap_id=TAP, duration=duration, key=call.request.key)
+    made = pair.arm.on_request("hold_still", request, 2, at(START + 0.01))
+    (answer,) = [effect for effect in made if isinstance(effect, Answer)]
+    assert not answer.response.granted
+    full = START + permit.hold(permit.flight(STROKE, SPEED))
+    assert not_before(pair, START + 0.01) == full
 
 
 @given(

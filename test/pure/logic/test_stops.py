@@ -15,7 +15,7 @@ from tapping_cell.logic import tapper_jobs
 from tapping_cell.logic.clock import Now
 from tapping_cell.logic.device import STOP_AGAIN_S
 from tapping_cell.logic.effects import JobContext, StopLevels, StopWire
-from tapping_cell.logic.stops import CONFIRM_WITHIN_S, StopLatch
+from tapping_cell.logic.stops import CONFIRM_WITHIN_S, SERVICE, StopLatch
 from tapping_cell.logic.tapper import TapperLogic, TapperOptions
 from tapping_cell.messages import Bool
 
@@ -107,6 +107,15 @@ def test_a_stored_stop_that_cannot_be_read_requires_a_confirmation(content: dict
         each.receive(False)
         assert "restarted" in reset(each, QUIET, 10.0)
         assert reset(each, QUIET, 11.0) == ""
+
+
+@given(st.one_of(st.none(), st.just(True), st.integers(), st.text()))
+def test_a_stored_level_that_is_not_false_counts_as_asserted(level: Any) -> None:
+    latch = StopLatch()
+    latch.recall({"sources": [SERVICE], "asserted": level})
+    assert "without releasing it" in reset(latch, QUIET, 10.0)
+    assert latch.stopped
+    assert reset(latch, QUIET, 11.0) == ""
 
 
 def test_a_stop_of_the_service_needs_no_confirmation_after_a_restart() -> None:
