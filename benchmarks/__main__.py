@@ -32,23 +32,12 @@ LONG_SECTIONS = (
     "arm-controllers",
     "arrangements",
     "calibration",
-    "composition",
     "cycle",
-    "demos",
-    "disarm",
-    "fixed-cycle",
     "fixed-tappers",
     "idle",
-    "lack-of-fit",
     "lost-nodes",
     "mutants",
-    "node",
-    "opencv-versions",
-    "outline",
-    "page-stop",
     "precision",
-    "precision-graph",
-    "precision-limit",
     "simulated-time",
     "two-computers",
     "unknown-objects",
@@ -89,13 +78,8 @@ def make_parser() -> argparse.ArgumentParser:
         "--experiments",
         type=int,
         metavar="N",
-        help="number of scenes (arrangements, outline), images (opencv-versions), scenes or frames "
-        "(vision*), experiments (calibration, lack-of-fit), demos per truth file (demos), demos "
-        "(precision-graph), callbacks (composition), goals (cycle, fixed-cycle, simulated-time, "
-        "two-computers, unknown-worlds), losses (disarm), moves of a controller "
-        "(arm-controllers), freezes of a node (lost-nodes), goals per mutant (mutants), trials "
-        "(fixed-tappers, precision, unknown-objects), or seconds (node, idle) (default: set by "
-        "each section)",
+        help="size of a section: its number of goals, trials, scenes, frames, experiments or "
+        "seconds (default: set by each section)",
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.add_argument(
