@@ -13,7 +13,7 @@ from tapping_cell.calibration.mounts import MAX_DEVIATION, TapScatter, fit_mount
 from tapping_cell.cli import main
 from tapping_cell.configuration.cell import load_cell
 from tapping_cell.configuration.files import shared_folder
-from tapping_cell.report.run import Run, TapRow
+from tapping_cell.report.run import Run, RunObject, TapRow
 from tapping_cell.report.run_folder import write_illustrated_run
 from tapping_cell.report.run_reader import IllustratedRun
 from tapping_cell.se2 import Pose, wrap_angle
@@ -132,21 +132,19 @@ def run_of(name: str, taps) -> Run:
     end = rows[-1].measured
     return Run(
         name="made",
-        goal=end,
-        start=rows[0].before,
-        tolerance=(0.001, 0.0174),
+        objects=(
+            RunObject(
+                CELL.object.name, goal=end, start=rows[0].before, end=end, tolerance=(0.001, 0.0174)
+            ),
+        ),
         taps=tuple(rows),
-        final_measured=end,
-        final_true=None,
         outcome="reached",
         wall_time=1.0,
         seed=None,
         versions={},
         error_code=0,
         error_msg="",
-        outline=(),
         table_size=(0.6, 0.44),
-        object_name=CELL.object.name,
         began=0.0,
     )
 

@@ -11,33 +11,35 @@ from typing import Any
 
 import pytest
 
-from tapping_cell.report.run import Run
+from tapping_cell.report.run import Run, RunObject
 from tapping_cell.report.run_comparison import comparison_page
 from tapping_cell.se2 import Pose
 
 RUN = Run(
     name="",
-    goal=Pose(0.0, 0.0, 0.0),
-    start=None,
-    tolerance=(0.001, math.radians(1.0)),
+    objects=(RunObject(goal=Pose(0.0, 0.0, 0.0), tolerance=(0.001, math.radians(1.0))),),
     taps=(),
-    final_measured=None,
-    final_true=None,
     outcome="reached",
     wall_time=0.0,
     seed=None,
     versions={},
     error_code=0,
     error_msg="",
-    outline=(),
     table_size=(0.6, 0.4),
 )
 # Name, duration in s, start. Sorted as text, 10.0 would come before 9.0.
-RUNS = [("run 2", 10.0, Pose(0.03, 0.0, 0.0)), ("run 10", 9.0, None), ("run 1", 100.0, RUN.goal)]
+RUNS = [
+    ("run 2", 10.0, Pose(0.03, 0.0, 0.0)),
+    ("run 10", 9.0, None),
+    ("run 1", 100.0, RUN.first.goal),
+]
 
 
 def page() -> str:
-    runs = [replace(RUN, name=name, wall_time=s, start=pose) for name, s, pose in RUNS]
+    runs = [
+        replace(RUN, name=name, wall_time=s, objects=(replace(RUN.first, start=pose),))
+        for name, s, pose in RUNS
+    ]
     return comparison_page(runs, [f"{run.name}/index.html" for run in runs])
 
 

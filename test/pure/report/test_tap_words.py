@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tapping_cell.report.animation import END_S, TAP_S, animation
-from tapping_cell.report.run import REACHED, Run, TapRow
+from tapping_cell.report.run import REACHED, Run, RunObject, TapRow
 from tapping_cell.report.svg import Plan
 from tapping_cell.report.tap_words import tap_sentence
 from tapping_cell.se2 import Pose
@@ -108,19 +108,14 @@ def test_the_animation_shows_every_pose_and_the_shortest_rotation(poses: list[Po
     )
     run = Run(
         name="made",
-        goal=poses[-1],
-        start=poses[0],
-        tolerance=(0.001, 0.02),
+        objects=(RunObject("", OUTLINE, poses[0], poses[-1], poses[-1]),),
         taps=taps,
-        final_measured=poses[-1],
-        final_true=None,
         outcome=REACHED,
         wall_time=10.0,
         seed=None,
         versions={},
         error_code=0,
         error_msg="",
-        outline=OUTLINE,
         table_size=(0.6, 0.44),
     )
     drawn = animation(run, Plan((-300.0, -220.0), (300.0, 220.0)))
@@ -145,19 +140,14 @@ def test_the_animation_shows_every_pose_and_the_shortest_rotation(poses: list[Po
 def test_a_run_without_a_tap_has_no_animation() -> None:
     empty = Run(
         name="made",
-        goal=None,
-        start=Pose(0.0, 0.0, 0.0),
-        tolerance=(0.001, 0.02),
+        objects=(RunObject("", OUTLINE, Pose(0.0, 0.0, 0.0)),),
         taps=(),
-        final_measured=None,
-        final_true=None,
         outcome=REACHED,
         wall_time=0.0,
         seed=None,
         versions={},
         error_code=0,
         error_msg="",
-        outline=OUTLINE,
         table_size=(0.6, 0.44),
     )
     assert animation(empty, Plan((-1.0, -1.0), (1.0, 1.0))) == ""
