@@ -4,11 +4,20 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 
 from tapping_cell.simulation.device_emulator import OutputQueue
 from tapping_cell.simulation.motor_axes import ArmMachine, Joints, MotorAxes
+
+
+class AxisLimits(NamedTuple):
+    """Limits of each axis in the controller's units: units/s, units/s2 and units."""
+
+    rates: tuple[float, ...]
+    accelerations: tuple[float, ...]
+    travels: tuple[float, ...]
 
 
 class ArmEmulator(ABC):
@@ -36,6 +45,10 @@ class ArmEmulator(ABC):
     def holds(self) -> bool:
         """Whether the motors have torque."""
         return self._axes.powered
+
+    @abstractmethod
+    def receive(self, data: bytes, now: float) -> None:
+        """Receive bytes from the host."""
 
     @abstractmethod
     def advance(self, now: float) -> None:
