@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tapping_cell.simulation.device_emulator import OutputQueue
+from tapping_cell.simulation.device_emulator import DeviceEmulator, OutputQueue
 from tapping_cell.simulation.motor_axes import ArmMachine, Joints, MotorAxes
 
 
@@ -20,7 +20,7 @@ class AxisLimits(NamedTuple):
     travels: tuple[float, ...]
 
 
-class ArmEmulator(ABC):
+class ArmEmulator(DeviceEmulator, ABC):
     """One emulated controller board with its arm."""
 
     def __init__(self, machine: ArmMachine, seed: int) -> None:
@@ -45,10 +45,6 @@ class ArmEmulator(ABC):
     def holds(self) -> bool:
         """Whether the motors have torque."""
         return self._axes.powered
-
-    @abstractmethod
-    def receive(self, data: bytes, now: float) -> None:
-        """Receive bytes from the host."""
 
     @abstractmethod
     def advance(self, now: float) -> None:

@@ -183,7 +183,8 @@ def test_the_verb_reads_the_taps_of_goals_from_run_folders(tmp_path: Path, capsy
         assert main([*mixed, "--output", str(tmp_path / "mixed.yaml")]) == 2
         assert words in capsys.readouterr().err
 
-    other = replace(run_of(entry.name, taps), object_name="teapot")
+    other = run_of(entry.name, taps)
+    other = replace(other, objects=(replace(other.first, name="teapot"),))
     write_illustrated_run(folders[0], IllustratedRun(other, ()), pictures=False)
     assert main([*command, "--output", str(tmp_path / "other.yaml")]) == 2
     assert "teapot" in capsys.readouterr().err
