@@ -32,23 +32,12 @@ SECTIONS = ("calibrate", "drivers", "emergency_stop", "mechanics", "vision")
 LONG_SECTIONS = (
     "arrangements",
     "calibration",
-    "composition",
     "cycle",
-    "demos",
-    "disarm",
-    "fixed-cycle",
     "fixed-tappers",
     "idle",
-    "lack-of-fit",
     "lost-nodes",
-    "node",
-    "opencv-versions",
-    "outline",
-    "page-stop",
     "photographs",
     "precision",
-    "precision-graph",
-    "precision-limit",
     "simulated-time",
     "two-computers",
     "unknown-objects",
@@ -89,13 +78,8 @@ def make_parser() -> argparse.ArgumentParser:
         "--experiments",
         type=int,
         metavar="N",
-        help="number of scenes (arrangements, outline), images (opencv-versions), scenes or frames "
-        "(vision*), experiments (calibration, lack-of-fit), demos per truth file (demos), demos "
-        "(precision-graph), callbacks (composition), goals (cycle, fixed-cycle, simulated-time, "
-        "two-computers, unknown-worlds), losses (disarm), "
-        "freezes of a node (lost-nodes), trials "
-        "(fixed-tappers, precision, unknown-objects), or seconds (node, idle) (default: set by "
-        "each section)",
+        help="size of a section: its number of goals, trials, scenes, frames, experiments or "
+        "seconds (default: set by each section)",
     )
     parser.add_argument(
         "--folder", type=Path, help="photographs of boards (section photographs, which needs it)"

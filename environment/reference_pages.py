@@ -23,6 +23,8 @@ from tapping_cell.configuration.cell import CellFile
 from tapping_cell.configuration.objects import ObjectFile
 from tapping_cell.configuration.table import TableFile
 from tapping_cell.report import error_codes
+from tapping_cell.report.columns import declared
+from tapping_cell.report.run import TapRow
 from tapping_cell.simulation.truth import TruthFile
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
@@ -61,6 +63,16 @@ and a message with the value and the limit. The command line, the report of a ru
 page also show the remedy.
 
 `make reference` writes this page from `msg_defs/msg/ErrorCode.msg`.
+"""
+_TAPS = """# taps.csv
+
+One row a tap. Each name ends with its unit; poses are in the frame `table`, and unknown values are
+`nan`. Times are in s since the start of the run. Files of earlier versions may lack columns.
+
+`make reference` writes this page from `report/run.py`.
+
+| columns | meaning |
+| --- | --- |
 """
 _HUNDREDS = {
     1: "goals and commands",
@@ -262,10 +274,25 @@ def _escaped(words: str) -> str:
     return words.replace("|", "\\|")
 
 
+def taps_page() -> str:
+    """Return the page on the columns of ``taps.csv``, generated from ``TapRow``."""
+    return _TAPS + "".join(_columns_of(TapRow))
+
+
+def _columns_of(kind: type) -> Iterator[str]:
+    for each, columns in declared(kind):
+        if dataclasses.is_dataclass(each.default_factory):
+            yield from _columns_of(typing.cast(type, each.default_factory))
+        else:
+            headers = ", ".join(f"`{column.header}`" for column in columns.columns)
+            yield f"| {headers} | {columns.meaning} |\n"
+
+
 PAGES: dict[Path, Callable[[], str]] = {
     DOCS / "commands.md": commands_page,
     DOCS / "reference" / "configuration.md": configuration_page,
     DOCS / "error_codes.md": error_codes_page,
+    DOCS / "reference" / "taps.md": taps_page,
 }
 
 

@@ -24,6 +24,7 @@ from tapping_cell.hardware.arm_shape import ArmShape
 from tapping_cell.hardware.axis_units import check_letters
 from tapping_cell.hardware.chain_urdf import chain_from_urdf
 from tapping_cell.hardware.controller_needs import ControllerNeeds, needs_of
+from tapping_cell.hardware.controllers import CONTROLLERS
 from tapping_cell.hardware.energy import EnergyCurve
 from tapping_cell.hardware.fixed_urdf import MountedTapper
 from tapping_cell.hardware.motion import MotionSettings
@@ -250,8 +251,7 @@ class ArmSection:
     )
     dialect: str = choice(
         "protocol of the arm's controller; ros2_control if the arm has a ROS driver of its own",
-        "grbl",
-        "marlin",
+        *CONTROLLERS,
         "ros2_control",
     )
     ros2_control: Ros2ControlSection | None = section(

@@ -19,12 +19,7 @@ from tapping_cell.planning.interface import Array, Planner, Taps, TapValues
 from tapping_cell.planning.near_taps import NearTaps, best_first, near_taps
 from tapping_cell.planning.refusal import Refusal, RefusalReason
 from tapping_cell.planning.settings import CameraNoise, PlannerSettings
-from tapping_cell.planning.stopping import (
-    CONFIDENCE,
-    StoppingBox,
-    inside_probability,
-    stopping_box,
-)
+from tapping_cell.planning.stopping import StoppingBox, stopping_box
 from tapping_cell.planning.strike import BoolArray, StrikePlan, StrikeSpace
 from tapping_cell.planning.tap_times import TapTimes
 from tapping_cell.planning.visited import VisitedPoses
@@ -38,10 +33,6 @@ MISSED = 0.1
 
 ELSEWHERE = math.radians(20.0)
 """Minimum change of the tap's direction after a miss, because the same tap would miss again."""
-
-WORTH_OBSERVING = 0.02
-"""A longer observation is requested only if the probability that the object is within the tolerance
-is at least this value."""
 
 PROBE_SIZE = 1.5
 """Length of a probe tap, as a multiple of the smallest tap's length."""
@@ -268,20 +259,13 @@ class GoalSession(ABC):
         left = self.residual(object_pose)
         box = self.stopping(covariance)
         residual = Pose(*left.tolist())
-        probability = self._inside(left, covariance, box)
-        if probability >= CONFIDENCE and box.camera_suffices:
+        noise = self.settings.camera.covariance if covariance is None else covariance
+        found = self.settings.arrival(left, noise)
+        if found.done and box.camera_suffices:
             return Done(residual, box)
-        if observe_again and probability >= WORTH_OBSERVING:
-            return ObserveAgain(residual, probability)
+        if observe_again and found.doubtful:
+            return ObserveAgain(residual, float(found.probability))
         return None
-
-    def _inside(self, left: Array, covariance: ArrayLike | None, box: StoppingBox) -> float:
-        """Probability of being within the tolerance."""
-        settings = self.settings
-        spread = settings.camera.covariance if covariance is None else covariance
-        return float(
-            inside_probability(left, spread, settings.tolerance_position, settings.tolerance_angle)
-        )
 
     def _camera_refusal(self, left: Array, box: StoppingBox) -> Refusal | None:
         settings = self.settings
@@ -410,14 +394,6 @@ class PositioningSession(GoalSession):
     def method(self) -> str:
         """Name of the planning method, for records."""
         return self.planner.name
-
-    def _inside(self, left: Array, covariance: ArrayLike | None, box: StoppingBox) -> float:
-        """Return the probability of being within the tolerance. If the user set the size of the
-        box, return 1 inside the box and 0 outside it."""
-        if self.settings.box is not None:
-            inside = math.hypot(left[0], left[1]) <= box.distance and abs(left[2]) <= box.rotation
-            return float(inside)
-        return super()._inside(left, covariance, box)
 
     def _next_tap(self, pose: Array, left: Array) -> Strike | Refusal:
         return self._strike(pose, left, self._missed + self._skipped)

@@ -21,8 +21,9 @@ from tapping_cell.cli import main
 from tapping_cell.cli.graph import RECORDER, SIMULATED
 from tapping_cell.configuration.files import shared_folder
 from tapping_cell.messages import TapperState
-from tapping_cell.report.arrangement_run import moves_of, read_arrangement
 from tapping_cell.report.bag import BagError, read_bag
+from tapping_cell.report.objects_page import moves_of
+from tapping_cell.report.run_folder import read_run
 
 NODES = {*SIMULATED, RECORDER}
 
@@ -192,12 +193,12 @@ def test_the_demo_brings_two_objects_to_their_goals_without_contact(folder: Path
     words = ("demo", "--out", str(folder), "--objects", "2", "--seed", "20")
     status, output = run(*words, cwd=folder.parent)
     assert status == 0, output
-    told = json.loads((folder / "arrangement.json").read_text())
-    assert told["reached"] and told["truly_inside"] and told["contacts"] == []
-    arrangement = read_arrangement(folder)
-    assert len(arrangement.objects) == 2 and len(arrangement.taps) == told["taps"]
-    for one in arrangement.objects:
-        assert one.tolerance is not None and one.goal is not None and one.end_true is not None
+    told = json.loads((folder / "summary.json").read_text())
+    assert told["reached"] and told["contacts"] == []
+    made = read_run(folder)
+    assert len(made.objects) == 2 and len(made.taps) == told["taps"]
+    for one in made.objects:
+        assert one.goal is not None and one.end_true is not None
         assert one.end_true.distance_to(one.goal) <= one.tolerance[0]
-    assert len(moves_of(arrangement)) >= 2
+    assert len(moves_of(made)) >= 2
     assert (folder / "report.html").stat().st_size > 10_000

@@ -154,8 +154,7 @@ def test_stop_is_sent_at_once_and_nothing_after_it(terminal: RawTerminal) -> Non
     worker = threading.Thread(target=wait)
     worker.start()
     time.sleep(0.05)
-    # The other thread waits for 10 s, and the stop must not wait for it. benchmarks/drivers.py
-    # measures the delay of a stop.
+    # The other thread waits for 10 s, and the stop must not wait for it.
     assert transport.stop(b"!\x18")
     assert os.read(terminal.master, 10) == b"!\x18"
     assert not failures or failures[0].reason is FaultReason.STOPPED

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from tapping_cell.report.run import REACHED, Run, TapRow
+from tapping_cell.report.run import REACHED, Run, RunObject, TapRow
 from tapping_cell.se2 import Pose
 
 
@@ -29,22 +29,27 @@ def tap_row(number: int = 1, **changed: Any) -> TapRow:
 
 
 def made_run(taps: Sequence[TapRow] = (), **changed: Any) -> Run:
-    """Return a run with these taps that has reached its goal; ``changed`` replaces fields."""
+    """Return a run of one object with these taps that has reached its goal; ``changed`` replaces
+    fields of the run or of its object, whose name is ``object_name``."""
     end = taps[-1].measured if taps else None
-    plain: dict[str, Any] = {
-        "name": "made",
+    of_object: dict[str, Any] = {
+        "name": changed.pop("object_name", ""),
         "goal": end,
         "start": taps[0].before if taps else Pose(0.0, 0.0, 0.0),
+        "end": end,
         "tolerance": (0.001, 0.02),
-        "final_measured": end,
-        "final_true": None,
+    }
+    for name in ("goal", "start", "end", "outline", "tolerance"):
+        if name in changed:
+            of_object[name] = changed.pop(name)
+    plain: dict[str, Any] = {
+        "name": "made",
         "outcome": REACHED,
         "wall_time": 10.0,
         "seed": None,
         "versions": {},
         "error_code": 0,
         "error_msg": "",
-        "outline": (),
         "table_size": (0.6, 0.44),
     }
-    return Run(taps=tuple(taps), **{**plain, **changed})
+    return Run(objects=(RunObject(**of_object),), taps=tuple(taps), **{**plain, **changed})

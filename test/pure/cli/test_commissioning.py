@@ -17,10 +17,10 @@ from tapping_cell.calibration.target import find_target
 from tapping_cell.calibration.yaml_edit import with_value
 from tapping_cell.cli import commission, main
 from tapping_cell.cli.calibration.photographs_verb import TARGET
+from tapping_cell.cli.commission import PAGE
 from tapping_cell.cli.commissioning import steps
 from tapping_cell.cli.commissioning.session import RECORD, Proof, Session, StepFailed
 from tapping_cell.nodes.clients.single_tap_client import NoAnswer
-from tapping_cell.report.commissioning_page import PAGE
 
 
 def session_in(folder: Path) -> Session:

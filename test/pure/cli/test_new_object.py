@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tapping_cell.cli import main
-from tapping_cell.cli.object_probing import REACH, goal_of
+from tapping_cell.cli.learn_object import REACH, goal_of
 from tapping_cell.configuration.files import shared_folder
 from tapping_cell.configuration.objects import load_object
 from tapping_cell.configuration.table import load_camera_model, load_reference_map

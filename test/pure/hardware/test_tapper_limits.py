@@ -10,7 +10,7 @@ from hardware_faults import expect_fault
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tapping_cell.hardware.faults import FaultReason
+from tapping_cell.hardware.faults import FaultReason, HardwareFault
 from tapping_cell.hardware.tapper import LONGEST_CHARGE, FireOutcome, TapperDriver
 from tapping_cell.hardware.tapper_protocol import (
     LONGEST_WINDOW,

@@ -369,8 +369,6 @@ charged."""
     "lost", ["planner", "arm", "camera", "pictures", "usable pictures"], ids=lambda name: name
 )
 def test_the_striker_is_discharged_if_a_peer_falls_silent(lost: str) -> None:
-    """The delay until the striker is discharged is measured with real processes by
-    benchmarks/disarm.py."""
     cell = Cell(SLOW)
     last = cell.stamp()
 

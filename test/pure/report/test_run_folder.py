@@ -19,6 +19,7 @@ from made_bags import BEGAN, GOAL, STOPS, MadeRun
 
 from tapping_cell.report.bag import BagError, bag_file, read_bag
 from tapping_cell.report.cell_view import draw_cell
+from tapping_cell.report.run import RunObject
 from tapping_cell.report.run_folder import (
     RunError,
     read_run,
@@ -209,7 +210,7 @@ def test_a_run_without_start_or_goal_is_plotted(tmp_path: Path) -> None:
     illustrated = read_illustrated_run(make(tmp_path / "run", refused) / "bag")
     for name, run in (
         ("no_goal", illustrated.run),
-        ("nothing", replace(illustrated.run, start=None, outline=(), table_size=(0.0, 0.0))),
+        ("nothing", replace(illustrated.run, objects=(RunObject(),), table_size=(0.0, 0.0))),
     ):
         draw_cell(run, tmp_path / f"{name}.png")
         assert cv2.imread(str(tmp_path / f"{name}.png")).std() > 5
@@ -247,7 +248,7 @@ def test_the_bag_of_a_killed_recorder_gives_a_report_up_to_its_end(tmp_path: Pat
 def test_a_recorder_that_saw_the_object_only_after_a_tap_knows_the_start(tmp_path: Path) -> None:
     made = MadeRun(STOPS, seen_before=False)
     run = read_illustrated_run(made.write(tmp_path / "run") / "bag").run
-    assert run.start == pytest.approx(STOPS[0])
+    assert run.first.start == pytest.approx(STOPS[0])
 
 
 def test_a_bag_without_a_goal_is_refused_with_a_message(tmp_path: Path) -> None:
@@ -318,8 +319,9 @@ def test_a_run_with_any_taps_is_read_back_unchanged(stops, tmp_path_factory):
     folder = tmp_path_factory.mktemp("run")
     run = read_illustrated_run(MadeRun(stops).write(folder) / "bag").run
     assert len(run.taps) == len(stops) - 1
-    assert run.goal is not None and run.goal.distance_to(GOAL) < 1e-12
-    assert run.start is not None and run.start.distance_to(stops[0]) < 1e-12
+    one = run.first
+    assert one.goal is not None and one.goal.distance_to(GOAL) < 1e-12
+    assert one.start is not None and one.start.distance_to(stops[0]) < 1e-12
     for tap, stop in zip(run.taps, stops[1:], strict=True):
         assert tap.measured.distance_to(stop) < 1e-12
         assert abs(tap.measured.rotation_to(stop)) < 1e-9

@@ -1,26 +1,20 @@
-"""``report.html`` of an arrangement of several objects, in one file."""
+"""``report.html`` of a run with several objects, in one file."""
 
 from __future__ import annotations
 
 import itertools
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from datetime import datetime
-from pathlib import Path
 
 import numpy as np
 
-from tapping_cell.report.arrangement_run import (
-    ArrangedMove,
-    ArrangedObject,
-    ArrangementRun,
-    moves_of,
-)
 from tapping_cell.report.palette import INK, SERIES
 from tapping_cell.report.photograph import photograph
 from tapping_cell.report.rendering import render
-from tapping_cell.report.run import REACHED, Picture
-from tapping_cell.report.run_folder import PAGE
+from tapping_cell.report.run import NOT_TRULY_REACHED, REACHED, Picture, Run, RunObject, TapRow
+from tapping_cell.report.run_reader import IllustratedRun
 from tapping_cell.report.svg import Plan
 from tapping_cell.report.words import counted, motion
 from tapping_cell.se2 import Array, Pose
@@ -28,25 +22,48 @@ from tapping_cell.se2 import Array, Pose
 _MARGIN_MM = 12.0
 
 
-def write_page(run: ArrangementRun, folder: Path, pictures: Sequence[Picture] = ()) -> Path:
-    """Write ``report.html`` to the folder; return its path. ``pictures``: see :func:`page`."""
-    path = folder / PAGE
-    path.write_text(page(run, pictures), encoding="utf-8")
-    return path
+@dataclass(frozen=True, slots=True)
+class Move:
+    """Consecutive taps of one object with one purpose.
 
-
-def page(run: ArrangementRun, pictures: Sequence[Picture] = ()) -> str:
-    """Return the page of an arrangement, which loads no other files.
-
-    ``pictures``: camera images in the order of time. The page shows the images taken before,
-    half-way through and after the moves.
+    ``before``, ``after``: measured poses of all objects, by name.
     """
+
+    name: str
+    purpose: str
+    taps: tuple[TapRow, ...]
+    before: dict[str, Pose]
+    after: dict[str, Pose]
+
+
+def moves_of(run: Run) -> list[Move]:
+    """Group the taps of a run into moves."""
+    poses = {one.name: one.start for one in run.objects if one.start is not None}
+    moves = []
+    for (name, purpose), group in itertools.groupby(
+        run.taps, lambda tap: (tap.object_name, tap.purpose)
+    ):
+        taps = tuple(group)
+        poses = {**poses, name: taps[0].before}
+        seen = [tap.measured for tap in taps if tap.seen]
+        after = {**poses, name: seen[-1]} if seen else poses
+        moves.append(Move(name, purpose, taps, poses, after))
+        poses = after
+    return moves
+
+
+def page(illustrated: IllustratedRun) -> str:
+    """Return the page of a run, which loads no other files. It shows the images taken before,
+    half-way through and after the moves."""
+    run, pictures = illustrated.run, illustrated.pictures
     moves = moves_of(run)
     return render(
-        "arrangement.html",
+        "objects.html",
         run=run,
         headline=headline(run),
-        began=datetime.fromtimestamp(run.began).strftime("%d %B %Y, %H:%M:%S"),
+        began=datetime.fromtimestamp(run.began).strftime("%d %B %Y, %H:%M:%S")
+        if math.isfinite(run.began)
+        else "time unknown",
         results=_results(run, moves),
         scenes=_scenes(run, moves, pictures),
         legend=[(f"{n + 1} {one.name}", _colour(n)) for n, one in enumerate(run.objects)],
@@ -56,17 +73,19 @@ def page(run: ArrangementRun, pictures: Sequence[Picture] = ()) -> str:
     )
 
 
-def headline(run: ArrangementRun) -> str:
+def headline(run: Run) -> str:
     """Summarise the outcome of an arrangement in a few words."""
     goals = [one for one in run.objects if one.goal is not None]
     reached = sum(one.outcome == REACHED for one in goals)
     objects, taps = counted(len(goals), "object"), counted(len(run.taps), "tap")
-    if not run.error_code:
+    if run.reached:
         return f"Arrangement reached: {counted(reached, 'object')}, {taps}"
+    if run.outcome == NOT_TRULY_REACHED:
+        return f"Measured at the goals, but not truly reached: {objects}, {taps}"
     return f"Arrangement failed: {reached} of {objects} at the goal after {taps}"
 
 
-def _results(run: ArrangementRun, moves: Sequence[ArrangedMove]) -> list[tuple[str, str, str]]:
+def _results(run: Run, moves: Sequence[Move]) -> list[tuple[str, str, str]]:
     """Return name, value and note of every main result."""
     limits = {_tolerance(one) for one in run.objects if one.goal is not None}
     limit = f"tolerance {limits.pop()}" if len(limits) == 1 else "tolerances: see the objects"
@@ -85,8 +104,8 @@ def _results(run: ArrangementRun, moves: Sequence[ArrangedMove]) -> list[tuple[s
             worst = f"{1000 * far:.2f} mm, {math.degrees(turned):.2f} deg"
             cards.append((f"largest {word} residual", worst, limit))
     cards.append(("taps", str(len(run.taps)), f"in {counted(len(moves), 'move')}"))
-    each = f"{run.seconds / len(run.taps):.1f} s per tap" if run.taps else ""
-    cards.append(("time", f"{run.seconds:.0f} s", each))
+    each = f"{run.wall_time / len(run.taps):.1f} s per tap" if run.taps else ""
+    cards.append(("time", f"{run.wall_time:.0f} s", each))
     if run.contacts is not None:
         touched = ", ".join(f"'{one}' and '{other}'" for one, other in run.contacts)
         cards.append(("contacts between objects", str(len(run.contacts)), touched or "none"))
@@ -94,7 +113,7 @@ def _results(run: ArrangementRun, moves: Sequence[ArrangedMove]) -> list[tuple[s
 
 
 def _scenes(
-    run: ArrangementRun, moves: Sequence[ArrangedMove], pictures: Sequence[Picture]
+    run: Run, moves: Sequence[Move], pictures: Sequence[Picture]
 ) -> list[dict[str, object]]:
     """Show the table before the first move, half-way and at the end."""
     start = {one.name: one.start for one in run.objects if one.start is not None}
@@ -103,7 +122,13 @@ def _scenes(
     if len(moves) > 1:
         middle = moves[(len(moves) - 1) // 2]
         done = middle.taps[-1]
-        scenes.append((f"after {counted(done.number, 'tap')}", middle.after, done.at_rest_at))
+        scenes.append(
+            (
+                f"after {counted(done.number, 'tap')}",
+                middle.after,
+                done.at_rest_at if math.isfinite(done.at_rest_at) else None,
+            )
+        )
     scenes.append((f"at the end, after {counted(len(run.taps), 'tap')}", end, math.inf))
     return [
         {
@@ -121,7 +146,7 @@ def _nearest(pictures: Sequence[Picture], at: float) -> Picture:
     return next((each for each in pictures if each.at >= at), pictures[-1])
 
 
-def _plan(run: ArrangementRun, poses: Mapping[str, Pose], moved: str = "") -> Plan:
+def _plan(run: Run, poses: Mapping[str, Pose], moved: str = "") -> Plan:
     """Create a plan of the table with the objects at these poses. Goals are drawn dashed.
 
     ``moved``: name of an object to emphasise; empty for none.
@@ -144,7 +169,7 @@ def _plan(run: ArrangementRun, poses: Mapping[str, Pose], moved: str = "") -> Pl
     return plan
 
 
-def _outline(one: ArrangedObject) -> Array:
+def _outline(one: RunObject) -> Array:
     return np.asarray(one.outline, dtype=float).reshape(-1, 2)
 
 
@@ -152,7 +177,7 @@ def _colour(number: int) -> str:
     return SERIES[number % len(SERIES)]
 
 
-def _objects(run: ArrangementRun) -> list[tuple[str, ...]]:
+def _objects(run: Run) -> list[tuple[str, ...]]:
     return [
         (
             f"{number + 1} {one.name}",
@@ -168,20 +193,20 @@ def _objects(run: ArrangementRun) -> list[tuple[str, ...]]:
     ]
 
 
-def _tolerance(one: ArrangedObject) -> str:
+def _tolerance(one: RunObject) -> str:
     """Return the tolerance of an object's goal as text, or a dash if the object has no goal."""
-    if one.tolerance is None:
+    if one.goal is None:
         return "-"
     return f"{1000 * one.tolerance[0]:g} mm, {math.degrees(one.tolerance[1]):g} deg"
 
 
-def _move(run: ArrangementRun, number: int, move: ArrangedMove) -> dict[str, str]:
+def _move(run: Run, number: int, move: Move) -> dict[str, str]:
     """Return the reason of a move, its taps, travel and remaining error, and a drawing."""
     index, one = next((n, one) for n, one in enumerate(run.objects) if one.name == move.name)
     before, after, colour = move.before[move.name], move.after[move.name], _colour(index)
     plan = _plan(run, move.after, move.name)
     plan.outline(_outline(one), before, colour)
-    way = [before, *(tap.measured for tap in move.taps if tap.measured is not None)]
+    way = [before, *(tap.measured for tap in move.taps if tap.seen)]
     for here, there in itertools.pairwise(way):
         plan.arrow((1000 * here.x, 1000 * here.y), (1000 * there.x, 1000 * there.y), colour, 0.6)
     first, last = move.taps[0].number, move.taps[-1].number
@@ -196,13 +221,13 @@ def _move(run: ArrangementRun, number: int, move: ArrangedMove) -> dict[str, str
     }
 
 
-def _taps(run: ArrangementRun) -> list[tuple[str, ...]]:
+def _taps(run: Run) -> list[tuple[str, ...]]:
     return [
         (
             str(tap.number),
-            tap.name,
+            tap.object_name,
             motion(tap.before, tap.predicted),
-            "not seen" if tap.measured is None else motion(tap.before, tap.measured),
+            motion(tap.before, tap.measured),
             f"{1000 * tap.striker_speed:.0f} mm/s",
             tap.outcome,
             tap.reason,
