@@ -92,6 +92,7 @@ from tapping_cell.messages import (
     Trigger,
 )
 from tapping_cell.se2 import Pose
+from tapping_cell.simulation.grbl_emulator import GrblEmulator
 from tapping_cell.simulation.tapper_emulator import TapperEmulator
 from tapping_cell.simulation.truth import TruthFile
 
@@ -1153,10 +1154,11 @@ class Trial:
 
         Marlin does not report motors that are off, so its board loses its power instead.
         """
-        if self.cell.arm.dialect == "marlin":
+        board = self.physical.arm_board
+        if not isinstance(board, GrblEmulator):
             self.interrupt_arm_power()
             return
-        self.physical.arm_board.enter_sleep(self.scheduler.now)
+        board.enter_sleep(self.scheduler.now)
         self.physical.arm_line.schedule()
         self.oracle.lose_reference()
 
