@@ -21,18 +21,19 @@ from tapping_cell.simulation.fault_layer import (
 )
 
 THOROUGH = (Dialect.GRBL, Dialect.MARLIN)
-"""Dialects with complete tests. The tests of the other dialects are shorter."""
+"""Dialects with complete tests."""
+TAPS = 30
+"""Number of taps of the tests with random faults."""
 
 
 @pytest.mark.parametrize("dialect", Dialect)
 def test_random_faults(dialect: Dialect) -> None:
-    taps = 30 if dialect in THOROUGH else 20
-    tally = run_taps(dialect, taps, seed=20)
+    tally = run_taps(dialect, TAPS, seed=20)
     assert tally.clean, tally.notes
-    assert tally.taps == taps == tally.fired + tally.not_fired + tally.unknown
-    assert tally.faults_struck > taps / 3
+    assert tally.taps == TAPS == tally.fired + tally.not_fired + tally.unknown
+    assert tally.faults_struck > TAPS / 3
     # Most taps must still be fired: a driver that refuses everything would be safe but useless.
-    assert tally.fired > taps / 2
+    assert tally.fired > TAPS / 2
 
 
 @pytest.mark.parametrize(
