@@ -206,8 +206,17 @@ _NUMBERS = st.decimals(-99999, 99999, places=3, allow_nan=False, allow_infinity=
     numbers=st.lists(st.tuples(_NUMBERS, _NUMBERS), min_size=1, max_size=5),
     places=st.integers(0, 3),
     layout=st.sampled_from(
-        [(",", ".", ""), (";", ",", ""), (";", ",", "."), ("\t", ".", ","), ("\t", ",", " ")]
-        + [(";", ".", ""), ("|", ".", "'"), ("\t", ",", "."), (",", ".", ",")]
+        [
+            (",", ".", ""),
+            (";", ",", ""),
+            (";", ",", "."),
+            ("\t", ".", ","),
+            ("\t", ",", " "),
+            (";", ".", ""),
+            ("|", ".", "'"),
+            ("\t", ",", "."),
+            (",", ".", ","),
+        ]
     ),
     excel=st.booleans(),
     encoding=st.sampled_from(["utf-8", "utf-8-sig", "utf-16"]),

@@ -15,8 +15,24 @@ from tapping_cell.configuration.yaml_document import YamlError, format_yaml, par
 
 @pytest.mark.parametrize(
     "number",
-    ["011", "-012", "00", "089", "0b11", "0o17", "0x1F", "0X1f", "1_000", "1_0.5", "0_1", "1:30"]
-    + ["190:20:30", "1:30.5", "+1_000", "4_8"],
+    [
+        "011",
+        "-012",
+        "00",
+        "089",
+        "0b11",
+        "0o17",
+        "0x1F",
+        "0X1f",
+        "1_000",
+        "1_0.5",
+        "0_1",
+        "1:30",
+        "190:20:30",
+        "1:30.5",
+        "+1_000",
+        "4_8",
+    ],
 )
 def test_a_number_that_readers_understand_differently_is_refused_with_its_line(number: str) -> None:
     for text in (f"a: 1\nid: {number}\n", f"a: 1\nb: [1, {number}]\n", f"a: 1\n{number}: b\n"):
@@ -27,11 +43,35 @@ def test_a_number_that_readers_understand_differently_is_refused_with_its_line(n
 
 @pytest.mark.parametrize(
     ("written", "value"),
-    [("yes", "yes"), ("no", "no"), ("on", "on"), ("Off", "Off"), ("y", "y"), ("TRUE", True)]
-    + [("false", False), ("~", None), ("", None), ("null", None), ("2026-11-28", "2026-11-28")]
-    + [("1e3", 1000.0), ("1E-3", 1e-3), (".5", 0.5), ("5.", 5.0), ("+7", 7), ("-0", 0)]
-    + [("0", 0), ("0.5", 0.5), ("011.5", 11.5), ("12,5", "12,5"), ("1.2.3", "1.2.3")]
-    + [(".inf", math.inf), ("-.INF", -math.inf), ("<<", "<<"), ("0xG", "0xG"), ("1e", "1e")],
+    [
+        ("yes", "yes"),
+        ("no", "no"),
+        ("on", "on"),
+        ("Off", "Off"),
+        ("y", "y"),
+        ("TRUE", True),
+        ("false", False),
+        ("~", None),
+        ("", None),
+        ("null", None),
+        ("2026-11-28", "2026-11-28"),
+        ("1e3", 1000.0),
+        ("1E-3", 0.001),
+        (".5", 0.5),
+        ("5.", 5.0),
+        ("+7", 7),
+        ("-0", 0),
+        ("0", 0),
+        ("0.5", 0.5),
+        ("011.5", 11.5),
+        ("12,5", "12,5"),
+        ("1.2.3", "1.2.3"),
+        (".inf", math.inf),
+        ("-.INF", -math.inf),
+        ("<<", "<<"),
+        ("0xG", "0xG"),
+        ("1e", "1e"),
+    ],
 )
 def test_a_plain_value_follows_the_core_schema_of_yaml_1_2(written: str, value: Any) -> None:
     read = parse_yaml(f"key: {written}")["key"]
