@@ -88,8 +88,9 @@ def unit_hint(value: float, unit: str, minimum: float, maximum: float) -> str:
     """Return a hint at another unit in which a value is in its range; empty if there is none."""
     if not abs(value) < 1e12:
         return ""
-    for name, factor in _OTHER_UNITS.get(unit, ()):
-        converted = value * factor
-        if value and minimum <= converted <= maximum:
-            return f"; if the value is in {name}, write {converted:.6g}"
-    return ""
+    fitting = [
+        f"if the value is in {name}, write {value * factor:.6g}"
+        for name, factor in _OTHER_UNITS.get(unit, ())
+        if value and minimum <= value * factor <= maximum
+    ]
+    return "; " + ", and ".join(fitting) if fitting else ""

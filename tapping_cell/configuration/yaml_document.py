@@ -66,6 +66,18 @@ def parse_yaml(text: str) -> Any:
         ) from error
 
 
+class _Dumper(yaml.SafeDumper):
+    """Quotes every text that :func:`parse_yaml` would not read as the same text."""
+
+
+_Dumper.add_implicit_resolver("number", re.compile("[-+.]?[0-9]"), list("-+.0123456789"))
+
+
+def format_yaml(content: Any, **layout: Any) -> str:
+    """Format a document, with its keys in their order; ``layout`` as for ``yaml.dump``."""
+    return str(yaml.dump(content, Dumper=_Dumper, sort_keys=False, **layout))
+
+
 class _Document:
     """Builds the values of a document from libyaml's events.
 

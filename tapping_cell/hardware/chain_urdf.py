@@ -11,6 +11,7 @@ import math
 import re
 from collections import Counter
 from collections.abc import Sequence
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
@@ -18,7 +19,7 @@ import numpy as np
 from tapping_cell.hardware.serial_chain import Array, ChainJoint, SerialChain, pose_matrix
 
 MOVING = ("revolute", "continuous", "prismatic")
-LARGEST_TEXT = 20_000_000
+LARGEST_TEXT = 2_000_000
 """Maximum length of a URDF, in characters."""
 LONGEST = 5.0
 """Maximum length in an arm, m: a larger value is probably in mm."""
@@ -91,7 +92,9 @@ def _robot(text: str) -> ElementTree.Element:
         raise ValueError(f"it has {len(text) / 1e6:.0f} MB (limit {LARGEST_TEXT / 1e6:.0f} MB)")
     try:
         robot = ElementTree.fromstring(text)
-        named = [entry for _, entry in ElementTree.iterparse(io.StringIO(text), ("start-ns",))]
+        named: list[Any] = [
+            entry for _, entry in ElementTree.iterparse(io.StringIO(text), ("start-ns",))
+        ]
     except ElementTree.ParseError as error:
         # Without the declaration of its prefix, a xacro element is not XML.
         hint = f"; {expand}" if "unbound prefix" in str(error) and "xacro:" in text else ""
