@@ -101,7 +101,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--model",
         choices=("auto", "plumb_bob", "rational_polynomial"),
         default="auto",
-        help="lens model; auto selects the model that predicts left-out views best (default: auto)",
+        help="lens model; auto selects the model with the least predicted projection error over "
+        "the whole image (default: auto)",
     )
     parser.add_argument(
         "--name",
@@ -279,7 +280,8 @@ def report(result: CameraCalibration, path: Path) -> dict[str, Any]:
         "deviations": result.deviations,
         "rms_px": result.rms,
         "lens": result.lens,
-        "held_out_rms_px": result.held_out,
+        "predicted_px": result.predicted,
+        "projection_px": result.projection.tolist(),
         "views": [
             {
                 "image": entry.view.name,
@@ -308,9 +310,11 @@ def lines(result: CameraCalibration) -> list[str]:
     rows += [f"left out: {entry.name}: {entry.reason}" for entry in result.rejected]
     rows.append("number of views with corners in each part of the image:")
     rows += ["  " + " ".join(f"{count:>3}" for count in row) for row in result.coverage]
-    tried = ", ".join(f"{label} {error:.4f}" for label, error in result.held_out.items())
+    rows.append("predicted projection error in px, from border to border of the image:")
+    rows += ["  " + " ".join(f"{error:>5.2f}" for error in row) for row in result.projection]
+    tried = ", ".join(f"{label} {error:.2f}" for label, error in result.predicted.items())
     rows += [
-        f"lens: {result.lens} (error in views left out of the fit, px: {tried})",
+        f"lens: {result.lens} (predicted projection error over the image, px: {tried})",
         f"fx {m.fx:.2f} +- {d['fx']:.2f}, fy {m.fy:.2f} +- {d['fy']:.2f}, cx {m.cx:.2f} +-"
         f" {d['cx']:.2f}, cy {m.cy:.2f} +- {d['cy']:.2f} px",
         "distortion " + " ".join(f"{value:.5g}" for value in m.distortion),
@@ -334,7 +338,8 @@ def annotated_files(folder: Path, paths: list[Path]) -> dict[Path, Path]:
 def write_pictures(pictures: dict[Path, Path], result: CameraCalibration, coverage: Path) -> None:
     """Write one image per view, with the corners and their errors (magnified 50 times), to the file
     that ``pictures`` gives for the photograph. Also write the image ``coverage``, which shows which
-    parts of the camera's image the views cover.
+    parts of the camera's image the views cover and, in red, the predicted projection error: full
+    red is 1 pixel or more.
 
     Raises:
         OSError: a folder or file cannot be written, or a photograph can no longer be read.
@@ -343,7 +348,9 @@ def write_pictures(pictures: dict[Path, Path], result: CameraCalibration, covera
     paths = {name: path for path, name in distinct_names(pictures).items()}
     scale = max(1, round(result.model.width / 900))
     size = (result.model.height, result.model.width, 3)
-    whole = np.full(size, 255, dtype=np.uint8)
+    share = np.clip(result.projection, 0.0, 1.0).astype(np.float32)
+    pale = 255 - 160 * cv2.resize(share, (size[1], size[0]), interpolation=cv2.INTER_LINEAR)
+    whole = np.stack([pale, pale, np.full_like(pale, 255)], axis=-1).astype(np.uint8)
     for entry in result.views:
         path = paths[entry.view.name]
         try:
