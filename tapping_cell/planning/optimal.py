@@ -24,8 +24,8 @@ from tapping_cell.planning.value_iteration import (
 )
 
 ALIKE = 0.35
-"""Taps at neighbouring grid points are interpolated if their distances differ by at most this share
-of the longest tap, and their rotations by at most this share of its largest rotation."""
+"""Neighbouring taps are interpolated if they differ by at most this share of the longest tap and of
+its largest rotation."""
 
 
 class OptimalPolicy:
