@@ -197,6 +197,16 @@ def expected_taps(
     """Return the expected number of taps that follow a tap, (directions, sizes, turns); infinite
     outside the cone.
 
+    The solution contains only taps along the line to the goal. After a tap of length s at an angle
+    phi to that line, the residual of a goal at the distance r is, in the frame of the tap, ::
+
+        (r cos phi - s (1 + a), -r sin phi + s c)
+
+    with the relative error a of the distance and the error c of the direction. Each of the two
+    errors is represented by values of equal probability, its nodes. Each pair of nodes gives a
+    length, whose weight is divided between the neighbouring points of the solution's grid. The
+    rotation is independent of this length, as in ``value_iteration``.
+
     Args:
         solution: plan that is followed after the tap.
         settings: settings of that plan.

@@ -45,9 +45,7 @@ from tapping_cell.nodes.camera import images
 from tapping_cell.nodes.cell_node import LATCHED, CellNode, run
 from tapping_cell.nodes.cell_parameters import ObjectParameters
 from tapping_cell.nodes.conversions import seconds
-from tapping_cell.nodes.recorder.message_buffer import MessageBuffer
-from tapping_cell.nodes.recorder.message_reader import MessageReader
-from tapping_cell.nodes.recorder.polled_topics import PolledTopics
+from tapping_cell.nodes.recorder.reception import MessageBuffer, MessageReader, PolledTopics
 from tapping_cell.nodes.recorder.recording import (
     MEGABYTE,
     CannotRecord,
