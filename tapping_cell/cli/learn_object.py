@@ -276,9 +276,8 @@ def _line(entry: Estimate) -> str:
 READY_TIMEOUT_S = 60.0
 RECORD_TIMEOUT_S = 60.0
 REACH, TURN = 0.025, math.radians(20.0)
-"""Radius (m) of the circle of goals about the object's first position, and rotation (rad) of the
-goals in either direction. The values are large enough to measure friction, and small enough that
-the object stays clear of the table edges."""
+"""Radius (m) of the circle of goals about the first position, and their rotation (rad). Large
+enough to measure friction, small enough to stay clear of the table's edges."""
 BETWEEN = math.radians(137.5)
 """Angle (rad) between the directions of successive goals. This is the golden angle, with which any
 number of goals is spread evenly."""

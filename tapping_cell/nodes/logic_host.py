@@ -470,7 +470,10 @@ def create_deferred_service(
     node: Node, kind: Any, name: str, serve: Callable[[Any, Respond], None]
 ) -> None:
     """Create a service. ``serve`` receives each request together with a function that must be
-    called once, immediately or later, with the response."""
+    called once, immediately or later, with the response.
+
+    rclpy has no such service: a coroutine that waits would block a single-threaded executor.
+    """
 
     def callback(request: Any, _: Any) -> _Later:
         later = _Later(send)

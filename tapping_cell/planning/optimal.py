@@ -24,8 +24,8 @@ from tapping_cell.planning.value_iteration import (
 )
 
 ALIKE = 0.35
-"""Taps at neighbouring grid points are interpolated if their distances differ by at most this share
-of the longest tap, and their rotations by at most this share of its largest rotation."""
+"""Neighbouring taps are interpolated if they differ by at most this share of the longest tap and of
+its largest rotation."""
 
 
 class OptimalPolicy:
@@ -196,6 +196,16 @@ def expected_taps(
 ) -> Array:
     """Return the expected number of taps that follow a tap, (directions, sizes, turns); infinite
     outside the cone.
+
+    The solution contains only taps along the line to the goal. After a tap of length s at an angle
+    phi to that line, the residual of a goal at the distance r is, in the frame of the tap, ::
+
+        (r cos phi - s (1 + a), -r sin phi + s c)
+
+    with the relative error a of the distance and the error c of the direction. Each of the two
+    errors is represented by values of equal probability, its nodes. Each pair of nodes gives a
+    length, whose weight is divided between the neighbouring points of the solution's grid. The
+    rotation is independent of this length, as in ``value_iteration``.
 
     Args:
         solution: plan that is followed after the tap.

@@ -46,11 +46,9 @@ UNKNOWN = 1.6
 is probed first. For an object that matches its file, the ratio is 1.2 after one tap."""
 
 JUDGING_ROTATION = ((3, 0.975), (6, 0.84))
-"""Criteria (number of taps, probability) for refusing an object that does not rotate. After this
-number of taps that are not outliers, the object is refused if its rotation gain is, with this
-probability, below the least gain. The second criterion is weaker, because further taps hardly
-improve the estimate of a gain slightly below the least gain. Without this criterion, a run with
-such an object would end only at the maximum number of taps."""
+"""Criteria for refusing an object that does not rotate: number of taps, and probability that its
+rotation gain is below the least gain. Without them, such a run would end only at the maximum number
+of taps."""
 
 MIN_ROTATION_GAIN = float(LOWEST[NAMES.index("rotation")])
 

@@ -329,7 +329,7 @@ def test_refused_replaced_and_lost_goals_are_reported_correctly(
     assert [run.outcome for run in runs] == ["refused", "canceled", "unfinished"]
     assert runs[1].error_code == ErrorCode.GOAL_REPLACED
     assert runs[2].error_code == ErrorCode.SHUTTING_DOWN
-    assert runs[0].goal is not None and runs[0].goal.x == 0.9
+    assert (one := runs[0].first).goal is not None and one.goal.x == 0.9
 
 
 def test_stopping_the_recorder_writes_the_tables_of_the_active_goal(tmp_path: Path) -> None:

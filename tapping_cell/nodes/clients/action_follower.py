@@ -69,6 +69,27 @@ class ActionFollower(ClientNode, Generic[Event]):
         """Return whether the planner's action server is available."""
         return bool(self._action.server_is_ready())
 
+    def _missing_devices(self) -> list[str]:
+        """Return what prevents arm and tapper from serving a goal, as text."""
+        reasons = []
+        if self.tapper_state is not None and self.tapper_state.fixed_mounts:
+            if not self.tapper_state.mounts_proven:
+                reasons.append(
+                    self.tapper_state.error_msg
+                    or "the strikers are not yet confirmed to be at their mounts"
+                )
+        elif self.arm_state is None:
+            reasons.append("the arm's driver is not running")
+        elif self.arm_state.state == ArmState.DISCONNECTED:
+            reasons.append(self.arm_state.error_msg or "the arm is not connected yet")
+        elif self.arm_state.state != ArmState.IDLE:
+            reasons.append(f"the arm is not idle ({self.arm_state.error_msg or 'busy'})")
+        if self.tapper_state is None:
+            reasons.append("the tapper's driver is not running")
+        elif self.tapper_state.state != TapperState.SAFE:
+            reasons.append(f"the tapper is not ready ({self.tapper_state.error_msg or 'busy'})")
+        return reasons
+
     @property
     def answered(self) -> bool:
         """Return whether the planner has responded to the last goal."""

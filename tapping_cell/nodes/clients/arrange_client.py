@@ -9,10 +9,8 @@ from dataclasses import dataclass, field
 
 from tapping_cell_msgs.action import ArrangeObjects
 from tapping_cell_msgs.msg import (
-    ArmState,
     ObjectProgress,
     ObjectStates,
-    TapperState,
 )
 
 from tapping_cell.configuration.layout_file import LayoutFile
@@ -77,10 +75,7 @@ class ArrangeClient(ActionFollower[Event]):
         reasons = []
         if not self.accepts_goals() or not self.planner_active:
             reasons.append("the planner is not running")
-        if self.arm_state is None or self.arm_state.state != ArmState.IDLE:
-            reasons.append("the arm is not idle")
-        if self.tapper_state is None or self.tapper_state.state != TapperState.SAFE:
-            reasons.append("the tapper is not ready")
+        reasons += self._missing_devices()
         reasons += [f"'{name}' is not seen at rest" for name in sorted(names - self.poses.keys())]
         return reasons
 

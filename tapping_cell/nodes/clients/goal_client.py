@@ -13,11 +13,9 @@ from dataclasses import dataclass
 from geometry_msgs.msg import PoseStamped
 from tapping_cell_msgs.action import PositionObject
 from tapping_cell_msgs.msg import (
-    ArmState,
     ObjectState,
     PlannedTap,
     PlanState,
-    TapperState,
     TapRecord,
 )
 from tapping_cell_msgs.srv import ConfirmTap
@@ -99,22 +97,7 @@ class GoalClient(ActionFollower[Event]):
         reasons = []
         if not self._action.server_is_ready():
             reasons.append("the planner is not running")
-        if self.tapper_state is not None and self.tapper_state.fixed_mounts:
-            if not self.tapper_state.mounts_proven:
-                reasons.append(
-                    self.tapper_state.error_msg
-                    or "the strikers are not yet confirmed to be at their mounts"
-                )
-        elif self.arm_state is None:
-            reasons.append("the arm's driver is not running")
-        elif self.arm_state.state == ArmState.DISCONNECTED:
-            reasons.append(self.arm_state.error_msg or "the arm is not connected yet")
-        elif self.arm_state.state != ArmState.IDLE:
-            reasons.append(f"the arm is not idle ({self.arm_state.error_msg or 'busy'})")
-        if self.tapper_state is None:
-            reasons.append("the tapper's driver is not running")
-        elif self.tapper_state.state != TapperState.SAFE:
-            reasons.append(f"the tapper is not ready ({self.tapper_state.error_msg or 'busy'})")
+        reasons += self._missing_devices()
         if self.object_state is None:
             reasons.append("camera_pose has not reported the object yet")
         elif not (self.object_state.visible and self.object_state.at_rest):

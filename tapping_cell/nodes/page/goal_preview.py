@@ -31,7 +31,11 @@ _logger = logging.getLogger(__name__)
 
 
 class Previews(Generic[Asked]):
-    """Process the newest request of each page."""
+    """Process requests of the pages in a separate thread.
+
+    Only the newest request of each page is kept, because a drag makes earlier requests obsolete.
+    Pages are served in turn, so that a page with many requests does not delay the others.
+    """
 
     def __init__(self, serve: Callable[[Asked], None]) -> None:
         self._serve = serve

@@ -37,7 +37,8 @@ from tapping_cell.planning import PlanningError
 
 
 class DeferredActionServer:
-    """Action servers of one node. They accept every goal, because only an accepted goal has a
+    """Action servers of one node that finish a goal when its result is known, long after its
+    callback returned. They accept every goal, because only an accepted goal has a
     result. If the planner then refuses the goal, the result contains the error code for the
     client."""
 

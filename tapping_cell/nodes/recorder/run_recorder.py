@@ -45,9 +45,7 @@ from tapping_cell.nodes.camera import images
 from tapping_cell.nodes.cell_node import LATCHED, CellNode, run
 from tapping_cell.nodes.cell_parameters import ObjectParameters
 from tapping_cell.nodes.conversions import seconds
-from tapping_cell.nodes.recorder.message_buffer import MessageBuffer
-from tapping_cell.nodes.recorder.message_reader import MessageReader
-from tapping_cell.nodes.recorder.polled_topics import PolledTopics
+from tapping_cell.nodes.recorder.reception import MessageBuffer, MessageReader, PolledTopics
 from tapping_cell.nodes.recorder.recording import (
     MEGABYTE,
     CannotRecord,
@@ -80,17 +78,13 @@ END_TIMEOUT_S = 4.0
 WRITE_PERIOD_S = 0.5
 POLL_PERIOD_S = 0.1
 REPEATED_WITHIN_S = 10.0
-"""A refused goal gets no folder if the previous refusal had the same code and message and was
-received less than this time before."""
+"""Time within which a repeated refusal gets no folder of its own."""
 RATE_SHARE = 0.8
-"""Minimum interval between recorded images, as a fraction of the period of the requested rate. If
-images arrive at the requested rate, their intervals are sometimes slightly shorter than the period.
-With a minimum of a full period, such images would not be recorded."""
+"""Minimum interval between recorded images, as a share of the requested period. Intervals vary, and
+a full period would drop images that are slightly early."""
 LONGEST_PATH = 1024
 DEPTH = 200
-"""Queue depth of a topic: the oldest messages are lost if more than this number arrive between two
-polls or, for the topics in FRAMES, before a goal begins. Images at 30 Hz fill the queue in
-6.7 s."""
+"""Queue depth of a topic between two polls. Images at 30 Hz fill it in 6.7 s."""
 
 _STREAM = QoSProfile(
     depth=DEPTH, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.VOLATILE

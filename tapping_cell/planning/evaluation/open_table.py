@@ -25,8 +25,7 @@ from tapping_cell.planning.stopping import LONG_OBSERVATION
 from tapping_cell.se2 import difference
 
 ASIDE = math.radians(30.0)
-"""After a miss, the direction of the next tap is changed by a random angle of up to this value,
-because the same tap would miss again."""
+"""Largest random change of direction after a miss. The same tap would miss again."""
 
 
 def run_open_trials(

@@ -12,9 +12,12 @@ import numpy as np
 import pytest
 from hardware_faults import expect_fault
 
+from tapping_cell.configuration.arm_assembly import make_arm_driver
+from tapping_cell.configuration.cell import load_cell
 from tapping_cell.hardware.arm import ArmDriver
 from tapping_cell.hardware.arm_settings import HomingStrategy
 from tapping_cell.hardware.controller_needs import ControllerNeeds, needs_of
+from tapping_cell.hardware.controllers import CONTROLLERS
 from tapping_cell.hardware.faults import FaultReason, HardwareFault
 from tapping_cell.hardware.grbl_dialect import GrblDialect, GrblSettings
 from tapping_cell.hardware.marlin_dialect import MarlinDialect, MarlinSettings
@@ -22,11 +25,13 @@ from tapping_cell.hardware.scara import ScaraGeometry
 from tapping_cell.hardware.tapper import TapperDriver
 from tapping_cell.simulation.arm_emulator import ArmEmulator
 from tapping_cell.simulation.device_emulator import DeviceEmulator
+from tapping_cell.simulation.devices import arm_emulator
 from tapping_cell.simulation.fault_layer import FaultLayer
 from tapping_cell.simulation.grbl_emulator import GrblEmulator
 from tapping_cell.simulation.grbl_machine import GrblMachine, default_settings
 from tapping_cell.simulation.marlin_emulator import MarlinEmulator, MarlinMachine
 from tapping_cell.simulation.tapper_emulator import TapperEmulator
+from tapping_cell.simulation.truth import ArmTruth
 from tapping_cell.simulation.virtual_line import VirtualClock, VirtualTransport
 
 MILD = ControllerNeeds(
@@ -52,6 +57,13 @@ def grbl(needs: ControllerNeeds, **settings: float) -> ArmDriver:
 def marlin(needs: ControllerNeeds, machine: MarlinMachine | None = None) -> ArmDriver:
     line = line_to(MarlinEmulator(machine or MarlinMachine()))
     return ArmDriver(line, MarlinDialect(line, MarlinSettings(needs=needs)), ScaraGeometry())
+
+
+@pytest.mark.parametrize("name", CONTROLLERS)
+def test_every_controller_of_the_folder_connects_to_its_emulator(name: str) -> None:
+    arm = replace(load_cell().arm, dialect=name)
+    line = line_to(arm_emulator(arm, ArmTruth(), 1, 0.0))
+    assert make_arm_driver(arm, line).connect().name.lower().startswith(name)
 
 
 def test_settings_that_allow_the_moves_are_accepted() -> None:
