@@ -160,7 +160,7 @@ def test_the_rest_pose_does_not_depend_on_the_observation_times(gaps: list[float
 def test_a_striker_follows_through_to_the_end_of_its_stroke() -> None:
     """A heavy striker that hardly rebounds keeps pushing a light object until the end of the
     stroke. A shorter stroke ends earlier."""
-    content = replace(CELL.object, mass=0.02, restitution=0.1, friction=0.6)
+    content = replace(CELL.object, name="light disk", mass=0.02, restitution=0.1, friction=0.6)
     striker = Striker(0.3, 0.0054, "linear_bearings")
     tip = Pose(START.x - 0.0054 - 0.048 - 0.005, START.y, 0.0)
 
