@@ -26,6 +26,7 @@ from rich.progress import track
 from rich.table import Table
 
 from tapping_cell.cli.errors import print_error
+from tapping_cell.durable_file import replace_text
 from tapping_cell.report.arrangement_folder import write_arrangement_folder
 from tapping_cell.report.arrangement_page import write_page
 from tapping_cell.report.arrangement_reader import holds_arrangement
@@ -43,7 +44,7 @@ from tapping_cell.report.run_folder import (
     write_folder,
     write_illustrated_run,
 )
-from tapping_cell.report.run_reader import IllustratedRun, read_illustrated_run
+from tapping_cell.report.run_reader import IllustratedRun
 
 COMPARISON = "comparison.html"
 
@@ -68,6 +69,7 @@ def run(arguments: argparse.Namespace) -> int:
     console = Console(stderr=arguments.json)
     reports: list[tuple[Run, Path]] = []
     arranged: list[Path] = []
+    arranged_notes: list[str] = []
     skipped = 0
     several = len(arguments.runs) > 1
     shown = console.is_terminal and several
@@ -81,7 +83,9 @@ def run(arguments: argparse.Namespace) -> int:
             continue
         try:
             if is_arrangement(path):
-                arranged.append(write_arrangement(path, None if several else arguments.output))
+                page, note = write_arrangement(path, None if several else arguments.output)
+                arranged.append(page)
+                arranged_notes += [f"{path.name}: {note}"] if note else []
                 continue
             reports.append(write_report(path, None if several else arguments.output))
         except (BagError, RunError, OSError) as error:
@@ -90,6 +94,9 @@ def run(arguments: argparse.Namespace) -> int:
         if skipped == len(arguments.runs):
             print_error("none of these is a run folder; give folders such as those in runs")
         return 2
+    notes = [f"{run.name}: {run.note}" for run, _ in reports if run.note]
+    for note in [*notes, *arranged_notes]:
+        console.print(f"incomplete: {note}", highlight=False, markup=False, soft_wrap=True)
     rows = [row_of(run) for run, _ in reports]
     written = [*arranged, *(folder / PAGE for _, folder in reports[:1])]
     if len(reports) > 1:
@@ -141,18 +148,10 @@ def write_report(path: Path, output: Path | None) -> tuple[Run, Path]:
     """
     is_folder = _is_run_folder(path)
     has_bag = is_folder and (path / BAG).is_dir()
-    if has_bag and output is None:
-        return write_folder(path), path
-    if has_bag:
-        illustrated = read_illustrated_run(path / BAG, path.name)
-    elif is_folder:
-        illustrated = IllustratedRun(read_run(path), ())
-    else:
-        own = path if path.is_dir() else path.parent
-        illustrated = read_illustrated_run(
-            path, (own.parent if own.name == BAG else own).resolve().name
-        )
+    illustrated = None if has_bag or not is_folder else IllustratedRun(read_run(path), ())
     folder = _report_folder(path, output)
+    if illustrated is None:
+        return write_folder(folder, source=path / BAG if has_bag else path), folder
     write_illustrated_run(folder, illustrated)
     return illustrated.run, folder
 
@@ -169,17 +168,19 @@ def _report_folder(path: Path, output: Path | None) -> Path:
     return folder
 
 
-def write_arrangement(path: Path, output: Path | None) -> Path:
-    """Rewrite the files of an arrangement of several objects. Return the path of its page.
+def write_arrangement(path: Path, output: Path | None) -> tuple[Path, str]:
+    """Rewrite the files of an arrangement of several objects. Return the path of its page, and why
+    it is incomplete or an empty text.
 
     Raises:
         BagError, RunError, OSError: the arrangement is unreadable, or a file cannot be written.
     """
     is_folder, folder = _is_run_folder(path), _report_folder(path, output)
     if is_folder and not (path / BAG).is_dir():
-        return write_page(read_arrangement(path), folder)
-    write_arrangement_folder(folder, source=path / BAG if is_folder else path)
-    return folder / PAGE
+        kept = read_arrangement(path)
+        return write_page(kept, folder), kept.note
+    made = write_arrangement_folder(folder, source=path / BAG if is_folder else path)
+    return folder / PAGE, made.note
 
 
 def compare(reports: list[tuple[Run, Path]], folder: Path) -> Path:
@@ -187,7 +188,7 @@ def compare(reports: list[tuple[Run, Path]], folder: Path) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     links = [os.path.relpath(own / PAGE, folder) for _, own in reports]
     page = folder / COMPARISON
-    page.write_text(comparison_page([run for run, _ in reports], links), encoding="utf-8")
+    replace_text(page, comparison_page([run for run, _ in reports], links))
     return page
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from tapping_cell.durable_file import replace_text
 from tapping_cell.report.arrangement_run import (
     ArrangedMove,
     ArrangedObject,
@@ -31,7 +32,7 @@ _MARGIN_MM = 12.0
 def write_page(run: ArrangementRun, folder: Path, pictures: Sequence[Picture] = ()) -> Path:
     """Write ``report.html`` to the folder; return its path. ``pictures``: see :func:`page`."""
     path = folder / PAGE
-    path.write_text(page(run, pictures), encoding="utf-8")
+    replace_text(path, page(run, pictures))
     return path
 
 

@@ -15,6 +15,7 @@ from tapping_cell.report.run import Picture
 from tapping_cell.report.run_reader import (
     SAME_TIME_S,
     TRUTH_WITHIN_S,
+    note_of,
     notes_of,
     pictures_of,
     records_of,
@@ -72,6 +73,7 @@ def read_arranged_run(path: Path, name: str) -> tuple[ArrangementRun, tuple[Pict
         contacts=_contacts(bag, since),
         error_code=code,
         error_msg=sentence,
+        note=note_of(bag, notes),
     )
     return run, pictures_of(bag, began)
 

@@ -79,6 +79,8 @@ class ArrangementRun:
     contacts: tuple[tuple[str, str], ...] | None
     error_code: int
     error_msg: str
+    note: str = ""
+    """Why the report shows less than the arrangement had; empty if it shows all of it."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon, Rectangle
 from matplotlib.ticker import MaxNLocator
 
+from tapping_cell.durable_file import part_of
 from tapping_cell.report.palette import GOAL, LINE, REST, START, STRIKE, TABLE, WAITING
 from tapping_cell.report.run import Run, TapRow
 from tapping_cell.report.words import counted, motion, remaining_error
@@ -28,7 +29,9 @@ def draw_cell(run: Run, path: Path) -> None:
     _draw_residuals(figure.add_subplot(grid[0, 2]), figure.add_subplot(grid[1, 2]), run)
     figure.supxlabel(_moves(run), fontsize=9)
     figure.suptitle(_headline(run), fontsize=13, fontweight="bold")
-    figure.savefig(path)
+    part = part_of(path)
+    figure.savefig(part, format="png")
+    part.replace(path)
 
 
 def _headline(run: Run) -> str:

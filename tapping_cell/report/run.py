@@ -135,6 +135,8 @@ class Run:
     """Activities of the devices; empty if the devices were not recorded."""
     errors: tuple[ErrorEvent, ...] = ()
     files: dict[str, str] = field(default_factory=dict)
+    note: str = ""
+    """Why the files show less than the run had; empty if they show all of it."""
 
     @property
     def reached(self) -> bool:
