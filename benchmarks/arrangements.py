@@ -72,7 +72,7 @@ def partial_reports(count: int = DEFAULT_COUNT) -> Iterator[dict[str, Any]]:
     ``count``."""
     rows: list[dict[str, Any]] = []
     for name, task, options, share in groups():
-        parser = argparse.ArgumentParser()
+        parser = argparse.ArgumentParser(allow_abbrev=False)
         evaluate.add_arguments(parser)
         kinds = evaluate.arrangement_kinds(parser.parse_args([*OPTIONS, *options]))
         number = max(1, round(share * count))

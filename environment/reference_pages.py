@@ -1,4 +1,4 @@
-"""Write the reference pages of docs/ that are made from the code.
+"""Write the reference pages of docs/ and the list of options that are made from the code.
 
     python environment/reference_pages.py        (or: make reference)
 
@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import inspect
+import json
 import types
 import typing
 from collections.abc import Callable, Iterator, Mapping
@@ -137,6 +138,25 @@ def _default(action: argparse.Action) -> str:
 
 def _text(words: str | None) -> str:
     return (words or "").replace("%%", "%").replace("|", "\\|")
+
+
+def options_file() -> str:
+    """Return the file with the options of each verb and the choices of each option, in which
+    ``python -m tapping_cell`` finds a typo without loading the verb."""
+    known: dict[str, dict[str, list[str] | None]] = {}
+    for verb in VERBS:
+        parsers = [(verb, verb_parser(verb)[0])]
+        for name, parser in parsers:
+            own = known.setdefault(name, {})
+            for action in parser._actions:
+                if isinstance(action, argparse._SubParsersAction):
+                    parsers += [(f"{verb} {sub}", one) for sub, one in action.choices.items()]
+                    continue
+                single = action.nargs is None and action.type is None
+                choices = [str(each) for each in action.choices or ()] if single else None
+                own |= {option: choices or None for option in action.option_strings}
+    lines = (f" {json.dumps(verb)}: {json.dumps(own)}" for verb, own in known.items())
+    return "{\n" + ",\n".join(lines) + "\n}\n"
 
 
 def error_codes_page() -> str:
@@ -293,6 +313,7 @@ PAGES: dict[Path, Callable[[], str]] = {
     DOCS / "reference" / "configuration.md": configuration_page,
     DOCS / "error_codes.md": error_codes_page,
     DOCS / "reference" / "taps.md": taps_page,
+    DOCS.parent / "tapping_cell" / "cli" / "options.json": options_file,
 }
 
 

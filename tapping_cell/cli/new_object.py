@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING
 
 from tapping_cell.cli import argument_types
 from tapping_cell.cli.errors import print_error
+from tapping_cell.durable_file import replace_text
 
 if TYPE_CHECKING:
     from tapping_cell.configuration.objects import ObjectFile
@@ -89,7 +90,7 @@ def run(arguments: argparse.Namespace) -> int:
             raise ValueError(image.explain(str(error), visible=False)) from error
         made = _object(arguments, traced)
         output.parent.mkdir(parents=True, exist_ok=True)
-        output.write_text(object_yaml(made, None, HEADING))
+        replace_text(output, object_yaml(made, None, HEADING))
     except ImageRefused as error:
         print_error(f"{arguments.image} {error}")
         return 2

@@ -25,6 +25,7 @@ from rich.progress import track
 from rich.table import Table
 
 from tapping_cell.cli.errors import print_error
+from tapping_cell.durable_file import replace_text
 from tapping_cell.report.bag import BagError
 from tapping_cell.report.run import Run
 from tapping_cell.report.run_comparison import Row, comparison_page, groups_of, row_of
@@ -37,7 +38,7 @@ from tapping_cell.report.run_folder import (
     write_folder,
     write_illustrated_run,
 )
-from tapping_cell.report.run_reader import IllustratedRun, read_illustrated_run
+from tapping_cell.report.run_reader import IllustratedRun
 
 COMPARISON = "comparison.html"
 
@@ -80,6 +81,9 @@ def run(arguments: argparse.Namespace) -> int:
         if skipped == len(arguments.runs):
             print_error("none of these is a run folder; give folders such as those in runs")
         return 2
+    notes = [f"{run.name}: {run.note}" for run, _ in reports if run.note]
+    for note in notes:
+        console.print(f"incomplete: {note}", highlight=False, markup=False, soft_wrap=True)
     rows = [row_of(run) for run, _ in reports]
     written = reports[0][1] / PAGE
     if len(reports) > 1:
@@ -113,18 +117,10 @@ def write_report(path: Path, output: Path | None) -> tuple[Run, Path]:
     """
     is_folder = _is_run_folder(path)
     has_bag = is_folder and (path / BAG).is_dir()
-    if has_bag and output is None:
-        return write_folder(path), path
-    if has_bag:
-        illustrated = read_illustrated_run(path / BAG, path.name)
-    elif is_folder:
-        illustrated = IllustratedRun(read_run(path), ())
-    else:
-        own = path if path.is_dir() else path.parent
-        illustrated = read_illustrated_run(
-            path, (own.parent if own.name == BAG else own).resolve().name
-        )
+    illustrated = None if has_bag or not is_folder else IllustratedRun(read_run(path), ())
     folder = _report_folder(path, output)
+    if illustrated is None:
+        return write_folder(folder, source=path / BAG if has_bag else path), folder
     write_illustrated_run(folder, illustrated)
     return illustrated.run, folder
 
@@ -146,7 +142,7 @@ def compare(reports: list[tuple[Run, Path]], folder: Path) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     links = [os.path.relpath(own / PAGE, folder) for _, own in reports]
     page = folder / COMPARISON
-    page.write_text(comparison_page([run for run, _ in reports], links), encoding="utf-8")
+    replace_text(page, comparison_page([run for run, _ in reports], links))
     return page
 
 

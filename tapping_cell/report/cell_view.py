@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon, Rectangle
 from matplotlib.ticker import MaxNLocator
 
+from tapping_cell.durable_file import part_of
 from tapping_cell.planning.evaluation.arrangements import ArrangementTrial
 from tapping_cell.report.arrangement_figures import draw_scene
 from tapping_cell.report.palette import GOAL, LINE, REST, START, STRIKE, TABLE, WAITING
@@ -34,7 +35,9 @@ def draw_cell(run: Run, path: Path) -> None:
     _draw_residuals(figure.add_subplot(grid[0, 2]), figure.add_subplot(grid[1, 2]), run)
     figure.supxlabel(_moves(run), fontsize=9)
     figure.suptitle(_headline(run), fontsize=13, fontweight="bold")
-    figure.savefig(path)
+    part = part_of(path)
+    figure.savefig(part, format="png")
+    part.replace(path)
 
 
 def _scene_of(run: Run) -> ArrangementTrial:

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import contextlib
 import csv
+import io
 import json
 import math
-import os
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -73,6 +73,7 @@ def summary(run: Run) -> dict[str, Any]:
     measured = [residual(each.goal, each.end) for each in goals]
     true = [residual(each.goal, each.end_true) for each in goals]
     return {
+        **({"note": run.note} if run.note else {}),
         "name": run.name,
         "outcome": run.outcome,
         "goal": in_display_units(one.goal),
@@ -134,28 +135,45 @@ def _object_content(one: RunObject) -> dict[str, Any]:
     }
 
 
-def write_folder(folder: Path, pictures: bool = True) -> Run:
-    """Write all files of a run folder from its bag, replacing existing files.
+def write_folder(folder: Path, pictures: bool = True, source: Path | None = None) -> Run:
+    """Write all files of a run folder from its bag, replacing existing files. Summary and taps that
+    contain more of the run than the bag are kept; figure and page are then made from them.
+
+    ``source``: path of the bag; None means the bag in the folder.
 
     Raises:
-        tapping_cell.report.bag.BagError: the folder contains no bag, or the bag has no goal.
+        tapping_cell.report.bag.BagError: there is no bag, or the bag has no goal.
         OSError: the folder cannot be written.
     """
-    illustrated = read_illustrated_run(folder / BAG, folder.name)
-    if illustrated.run.outcome == UNFINISHED:
-        # The bag does not contain the end of the run. If write_failure has already recorded in the
-        # summary why the run ended, keep that reason.
-        with contextlib.suppress(RunError):
-            report = read_run(folder)
-            ended = replace(
-                illustrated.run,
-                outcome=report.outcome,
-                error_code=report.error_code,
-                error_msg=report.error_msg,
+    bag = source or folder / BAG
+    own = bag if bag.is_dir() else bag.parent
+    name = (own.parent if own.name == BAG else own).resolve().name
+    illustrated = read_illustrated_run(bag, name)
+    run = illustrated.run
+    with contextlib.suppress(RunError):
+        kept = read_run(folder)
+        same = kept.began == run.began
+        if kept.first.goal is None and run.outcome == UNFINISHED:
+            # write_failure has recorded why the run ended, without a bag that it could read.
+            run = replace(
+                run, outcome=kept.outcome, error_code=kept.error_code, error_msg=kept.error_msg
             )
-            illustrated = replace(illustrated, run=ended)
-    write_illustrated_run(folder, illustrated, pictures)
-    return illustrated.run
+        elif (same or bag == folder / BAG) and _extent(kept) > _extent(run):
+            reason = run.note or f"{bag} does not contain the end of the run"
+            run = replace(kept, note=f"{SUMMARY} and {TAPS} are kept, because {reason}")
+            shown = illustrated.pictures if same else ()
+            _write_page(folder, IllustratedRun(run, shown), pictures)
+            return run
+    write_illustrated_run(folder, IllustratedRun(run, illustrated.pictures), pictures)
+    return run
+
+
+def _extent(run: Run) -> tuple[bool, bool, int, bool]:
+    """Return how much of a run its record contains, for comparison: a complete bag before anything
+    else, then whether the end is known, the taps, and the true pose."""
+    complete = not run.note
+    ended = run.outcome != UNFINISHED
+    return (complete and ended, ended, len(run.taps), run.first.end_true is not None)
 
 
 def write_failure(
@@ -200,19 +218,22 @@ def write_illustrated_run(folder: Path, illustrated: IllustratedRun, pictures: b
     run = illustrated.run
     text = json.dumps(summary(run), indent=2, allow_nan=False)
     replace_text(folder / SUMMARY, text + "\n")
-    rows = folder / f".{TAPS}"
-    with rows.open("w", newline="", encoding="utf-8") as stream:
-        writer = csv.DictWriter(stream, fieldnames=headers(TapRow))
-        writer.writeheader()
-        writer.writerows(to_texts(tap) for tap in run.taps)
-    os.replace(rows, folder / TAPS)
+    rows = io.StringIO(newline="")
+    writer = csv.DictWriter(rows, fieldnames=headers(TapRow), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(to_texts(tap) for tap in run.taps)
+    replace_text(folder / TAPS, rows.getvalue())
+    _write_page(folder, illustrated, pictures)
+
+
+def _write_page(folder: Path, illustrated: IllustratedRun, pictures: bool) -> None:
     if pictures:
         # Import here because loading the plotting modules takes a second.
         from tapping_cell.report import objects_page, run_page
         from tapping_cell.report.cell_view import draw_cell
 
-        draw_cell(run, folder / CELL)
-        made = objects_page if len(run.objects) > 1 else run_page
+        draw_cell(illustrated.run, folder / CELL)
+        made = objects_page if len(illustrated.run.objects) > 1 else run_page
         replace_text(folder / PAGE, made.page(illustrated))
 
 
@@ -270,6 +291,7 @@ def _run(content: dict[str, Any], taps: tuple[TapRow, ...]) -> Run:
         errors=tuple(ErrorEvent(*event) for event in content["errors"]),
         files=content["files"],
         contacts=None if contacts is None else tuple((str(a), str(b)) for a, b in contacts),
+        note=content.get("note", ""),
     )
 
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from tapping_cell import __version__
 from tapping_cell.report import error_codes
 from tapping_cell.report.activities import activities, seconds_of
 from tapping_cell.report.bag import Bag, BagError, read_bag
@@ -28,6 +29,7 @@ from tapping_cell.report.run import (
     RunObject,
     TapRow,
 )
+from tapping_cell.report.versions import version_key
 from tapping_cell.report.words import PHASES, PROGRESS, word
 from tapping_cell.se2 import Pose, from_message
 
@@ -113,6 +115,7 @@ def _run(
         activities=activities(bag, began, ended),
         errors=_errors(bag, began, ended),
         files=notes.get("files", {}),
+        note=note_of(bag, notes),
         **others,
     )
 
@@ -129,7 +132,8 @@ def _positioned(bag: Bag, name: str, notes: Mapping[str, Any]) -> Run:
         plan for plan in plans if plan.goal.header.frame_id and plan.state in range(1, len(PHASES))
     ]
     if report is None and not own:
-        raise BagError(f"{bag.path}: the bag contains no goal")
+        cause = f"; {bag.missing}" if bag.missing else ""
+        raise BagError(f"{bag.path}: the bag contains no goal{cause}")
     last = report if report is not None else own[-1]
     refused = report is not None and report.refused
     since = float(notes.get("began", -math.inf))
@@ -313,6 +317,18 @@ def pictures_of(bag: Bag, began: float) -> tuple[Picture, ...]:
     return tuple(
         Picture(seconds_of(m.header.stamp) - began, bytes(m.data)) for _, m in bag.of(PICTURES)
     )
+
+
+def note_of(bag: Bag, notes: Mapping[str, Any]) -> str:
+    """Return why a report from the bag may show less than the run had, or an empty text."""
+    writer = str(notes.get("versions", {}).get("tapping_cell", __version__))
+    newer = ""
+    if version_key(writer) > version_key(__version__):
+        newer = (
+            f"the run was recorded by tapping_cell {writer}, which is newer than this version "
+            f"({__version__}); use the newer version"
+        )
+    return "; ".join(filter(None, (bag.missing, newer)))
 
 
 def notes_of(bag: Bag) -> dict[str, Any]:

@@ -1,10 +1,13 @@
 import json
 import math
+import shutil
 
 import numpy as np
 import pytest
+import yaml
 
 from tapping_cell.cli import main
+from tapping_cell.configuration.files import shared_folder
 from tapping_cell.planning import CameraNoise, PlannerSettings, PlanningError
 from tapping_cell.planning.evaluation import Evaluation, Results, evaluate, parallel, summarise
 from tapping_cell.planning.evaluation.task import End
@@ -100,7 +103,9 @@ def test_the_summary_counts_match_the_trials():
     assert found["seconds"]["mean"] == pytest.approx(220 / 4)
     unknown = results._replace(seconds=np.full(5, np.nan))
     assert "seconds" not in summarise(unknown)
-    assert found["success_rate"] == 0.5 and found["truly_inside_rate"] == 0.5
+    # The refused trials count among all trials.
+    assert (found["done"], found["trials"], found["truly_inside"]) == (2, 5, 1)
+    assert found["success_rate"] == 0.4 and found["truly_inside_rate"] == 0.5
     assert (found["endless"], found["refused_before"], found["refused_later"]) == (1, 1, 1)
     assert found["taps"]["histogram"] == {"2": 1, "3": 1, "4": 1, "100": 1}
     assert found["over_edge"] == 1
@@ -139,7 +144,7 @@ def test_goals_across_the_table_are_reached_or_refused_at_once(capsys):
         capsys,
         "--planner exact --table --random-tasks 300 180 --gain-bias 15 15 --adapt --trials 8",
     )
-    assert found["success_rate"] == 1.0
+    assert found["done"] + found["refused_before"] == found["trials"]
     assert found["endless"] == found["refused_later"] == 0
     assert 0 < found["refused_before"] < 8
 
@@ -182,3 +187,17 @@ def test_invalid_options_are_refused_with_a_message(capsys, words, sentence):
 def test_evaluations_out_of_range_are_refused():
     with pytest.raises(PlanningError, match="random-tasks"):
         Evaluation("exact", PlannerSettings(), random_tasks=(-1.0, 0.0))
+
+
+def test_a_cell_that_check_config_refuses_is_evaluated_only_with_force(tmp_path, capsys) -> None:
+    folder = tmp_path / "config"
+    shutil.copytree(shared_folder(), folder)
+    file = folder / "positioning_cell" / "cell.yaml"
+    content = yaml.safe_load(file.read_text())
+    file.write_text(yaml.safe_dump({**content, "objects": ["none.yaml"]}))
+    words = ["evaluate", "--cell", str(file), "--trials", "20", "--start-angles", "10"]
+    assert main(words) == 2
+    assert "none.yaml" in (said := capsys.readouterr().err) and "--force" in said
+    assert main([*words, "--force"]) == 0
+    table = capsys.readouterr().out
+    assert "of 20 (" in table and "truly inside" in table

@@ -7,6 +7,7 @@ import json
 import math
 import re
 import shutil
+import struct
 from dataclasses import astuple, replace
 from html.parser import HTMLParser
 from pathlib import Path
@@ -29,7 +30,12 @@ from tapping_cell.report.run_folder import (
     write_folder,
 )
 from tapping_cell.report.run_page import page
-from tapping_cell.report.run_reader import IllustratedRun, inside, read_illustrated_run
+from tapping_cell.report.run_reader import (
+    IllustratedRun,
+    inside,
+    note_of,
+    read_illustrated_run,
+)
 from tapping_cell.se2 import Pose
 
 VOID = {"meta", "img", "br"}
@@ -339,3 +345,64 @@ def test_the_time_is_divided_by_device_activity(tmp_path: Path) -> None:
     ]
     began = [step.began for step in run.activities[:5]]
     assert began == pytest.approx([2.0, 3.2, 4.0, 5.6, 6.5], abs=1e-3)
+
+
+def chunks(data: bytes) -> list[tuple[int, int]]:
+    """Return begin and end of each record with messages in an MCAP file."""
+    found, place = [], 8
+    while place + 9 <= len(data):
+        kind, length = struct.unpack_from("<BQ", data, place)
+        if kind in (5, 6):
+            found.append((place, place + 9 + length))
+        place += 9 + length
+    return found
+
+
+@settings(deadline=None, max_examples=40)
+@given(share=st.floats(0.0, 1.0), damage=st.sampled_from(["cut", "gap", "flip"]))
+def test_a_damaged_bag_never_replaces_a_better_summary(
+    share: float, damage: str, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    folder = make(tmp_path_factory.mktemp("runs") / "run", MadeRun(STOPS))
+    write_folder(folder, pictures=False)
+    before = {name: (folder / name).read_bytes() for name in ("summary.json", "taps.csv")}
+    file = folder / "bag" / "bag.mcap"
+    data = bytearray(file.read_bytes())
+    begin, end = chunks(data)[int(share * (len(chunks(data)) - 1))]
+    if damage == "cut":
+        del data[int(share * (len(data) - 1)) :]
+    elif damage == "gap":
+        del data[begin:end]
+    else:
+        data[int(begin + share * (end - begin - 1))] ^= 0x55
+    file.write_bytes(data)
+    try:
+        run = write_folder(folder, pictures=False)
+    except BagError:
+        run = None
+    assert {name: (folder / name).read_bytes() for name in before} == before
+    if run is not None and (damage != "flip" or run.note):
+        assert run.note.startswith("summary.json and taps.csv are kept, because")
+        assert (run.outcome, len(run.taps)) == ("reached", 2)
+
+
+def test_a_report_of_a_cut_bag_says_so_in_its_first_line(tmp_path: Path) -> None:
+    folder = make(tmp_path / "run", MadeRun(STOPS))
+    file = folder / "bag" / "bag.mcap"
+    file.write_bytes(file.read_bytes()[:-40])
+    run = write_folder(folder)
+    assert "cut off or still being written" in run.note
+    assert (folder / "summary.json").read_text().splitlines()[1].startswith('  "note": "the end of')
+    text = Page((folder / "report.html").read_text()).text
+    words = [text.index(word) for word in ("Incomplete:", "from goal to end")]
+    assert words == sorted(words)
+    assert read_run(folder).note == run.note
+
+
+def test_a_run_of_a_newer_version_is_named(tmp_path: Path) -> None:
+    folder = make(tmp_path / "run", MadeRun(STOPS))
+    bag = read_bag(folder / "bag")
+    assert note_of(bag, {"versions": {"tapping_cell": "99.1"}}).startswith(
+        "the run was recorded by tapping_cell 99.1, which is newer"
+    )
+    assert note_of(bag, {"versions": {"tapping_cell": "0.0.9"}}) == note_of(bag, {}) == ""
