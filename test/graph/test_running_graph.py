@@ -51,7 +51,9 @@ UNKNOWN = Pose(0.17, -0.10, 0.4)
 TOLERANCE = (0.001, math.radians(1.0))
 STILL = 2e-4
 """Minimum displacement in m between successive true poses that counts as a motion of the object."""
-TIMEOUT_S = 120.0
+TIMEOUT_S = 240.0
+"""Safety timeout of one wait, s; long enough for a slow and busy machine."""
+pytestmark = pytest.mark.timeout(4 * TIMEOUT_S)
 
 
 @dataclass
