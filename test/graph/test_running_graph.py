@@ -261,7 +261,11 @@ def test_goals_of_the_verb_are_recorded_and_no_second_cell_starts(cell: Cell) ->
     def goal(*pose: str) -> tuple[int, str]:
         return run("goal", "--namespace", SPACE, "--wait", "90", *pose, cwd=cell.folder)
 
-    status, words = goal("-25", "0", "0")
+    for _ in range(3):
+        # On a busy machine, late images can end a goal with an error, but never with a wrong result.
+        status, words = goal("-25", "0", "0")
+        if status == 0:
+            break
     assert status == 0 and "goal reached" in words, words
     status, words = run("up", "--namespace", SPACE, cwd=cell.folder)
     assert status == 1 and "another cell runs on this machine in ROS domain" in words, words
