@@ -262,7 +262,7 @@ def test_goals_of_the_verb_are_recorded_and_no_second_cell_starts(cell: Cell) ->
         return run("goal", "--namespace", SPACE, "--wait", "90", *pose, cwd=cell.folder)
 
     for _ in range(3):
-        # On a busy machine, late images can end a goal with an error, but never with a wrong result.
+        # On a busy machine, late images can end a goal with an error, never with a wrong result.
         status, words = goal("-25", "0", "0")
         if status == 0:
             break
