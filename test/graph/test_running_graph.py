@@ -51,7 +51,9 @@ UNKNOWN = Pose(0.17, -0.10, 0.4)
 TOLERANCE = (0.001, math.radians(1.0))
 STILL = 2e-4
 """Minimum displacement in m between successive true poses that counts as a motion of the object."""
-TIMEOUT_S = 120.0
+TIMEOUT_S = 240.0
+"""Safety timeout of one wait, s; long enough for a slow and busy machine."""
+pytestmark = pytest.mark.timeout(4 * TIMEOUT_S)
 
 
 @dataclass
@@ -259,7 +261,11 @@ def test_goals_of_the_verb_are_recorded_and_no_second_cell_starts(cell: Cell) ->
     def goal(*pose: str) -> tuple[int, str]:
         return run("goal", "--namespace", SPACE, "--wait", "90", *pose, cwd=cell.folder)
 
-    status, words = goal("-25", "0", "0")
+    for _ in range(3):
+        # On a busy machine, late images can end a goal with an error, never with a wrong result.
+        status, words = goal("-25", "0", "0")
+        if status == 0:
+            break
     assert status == 0 and "goal reached" in words, words
     status, words = run("up", "--namespace", SPACE, cwd=cell.folder)
     assert status == 1 and "another cell runs on this machine in ROS domain" in words, words
