@@ -187,6 +187,10 @@ that names file, key, value and range. `python -m tapping_cell check-config` che
 the consistency between them, without starting any node. The files in [config/](../../config) are
 complete examples. [nodes.md](../nodes.md) lists the ROS parameters of the nodes.
 
+Plain values follow YAML 1.2: numbers are decimal, and `yes` or `on` is a text. Notations that some
+programs read as another number (`011`, `0x1F`, `1_000`, `1:30`) are refused with their line, as are
+values that contradict each other or physics.
+
 ![Dimensions of the arm and the striker](../images/arm_dimensions.svg)
 
 `make reference` writes this page from the declarations in the code.
