@@ -441,7 +441,9 @@ def _projection(fit: _Fit, covariance: Array) -> Array:
     own = jacobian[:, 6 : 6 + len(covariance)]
     own = own - turns @ (turns.T @ own)
     variance = np.einsum("ni,ij,nj->n", own, covariance, own)
-    return np.asarray(np.sqrt(variance.reshape(rows, columns, 2).sum(axis=-1)))
+    # Rounding may make the variance of an undetermined lens negative.
+    variance = np.maximum(variance.reshape(rows, columns, 2).sum(axis=-1), 0.0)
+    return np.asarray(np.sqrt(variance))
 
 
 def _check_rms(fitter: _Fitter, views: Sequence[TargetView], rms: float) -> None:

@@ -105,6 +105,7 @@ def flat_views() -> list[TargetView]:
         (lambda: views_of(4, count=5)[1], "too few"),
         (lambda: [views_of(4, count=1)[1][0]] * 20, "duplicate"),
         (flat_views, "faces the camera"),
+        (lambda: views_of(4, count=12, noise=1.0)[1], "limit 1"),
     ],
 )
 def test_unsuitable_image_sets_are_refused_with_a_message(views, words: str) -> None:
