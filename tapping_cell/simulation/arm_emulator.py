@@ -47,6 +47,10 @@ class ArmEmulator(DeviceEmulator, ABC):
         return self._axes.powered
 
     @abstractmethod
+    def enter_sleep(self, now: float) -> None:
+        """Cut the motors' power and end any move."""
+
+    @abstractmethod
     def advance(self, now: float) -> None:
         """Process all events that are due by ``now``."""
 
