@@ -1,3 +1,4 @@
+import argparse
 import json
 import math
 import shutil
@@ -7,7 +8,10 @@ import pytest
 import yaml
 
 from tapping_cell.cli import main
+from tapping_cell.cli.evaluate_common import refuse_faulty, share_text
+from tapping_cell.configuration.cell import load_cell
 from tapping_cell.configuration.files import shared_folder
+from tapping_cell.configuration.schema import ConfigurationError
 from tapping_cell.planning import CameraNoise, PlannerSettings, PlanningError
 from tapping_cell.planning.evaluation import Evaluation, Results, evaluate, parallel, summarise
 from tapping_cell.planning.evaluation.task import End
@@ -198,6 +202,12 @@ def test_a_cell_that_check_config_refuses_is_evaluated_only_with_force(tmp_path,
     words = ["evaluate", "--cell", str(file), "--trials", "20", "--start-angles", "10"]
     assert main(words) == 2
     assert "none.yaml" in (said := capsys.readouterr().err) and "--force" in said
-    assert main([*words, "--force"]) == 0
-    table = capsys.readouterr().out
-    assert "of 20 (" in table and "truly inside" in table
+    cell = load_cell(file)
+    refuse_faulty(argparse.Namespace(cell=file, force=True), cell)
+    with pytest.raises(ConfigurationError, match="none.yaml"):
+        refuse_faulty(argparse.Namespace(cell=file, force=False), cell)
+
+
+def test_a_share_states_what_it_is_a_share_of() -> None:
+    assert share_text(4, 20) == "4 of 20 (20.00 %)"
+    assert share_text(0, 0) == "0 of 0"
