@@ -34,6 +34,9 @@ _FREE, _USUAL_FREE = 4.0, 8.0
 """``_FREE``: degrees of freedom of the residuals when a square is fitted to four sides.
 ``_USUAL_FREE``: degrees of freedom of the prior for the usual size of these residuals."""
 
+_NOISY_OBLONG = 9.0
+"""Squared difference of length and width, in variances of its noise, that is taken for noise."""
+
 
 def fit_marker(view: View, edges: MarkerEdges, row: int, marker: ObjectMarker) -> PoseFit | None:
     """Fit a square of known side, at the marker's height, to marker ``row`` of ``edges``.
@@ -71,11 +74,17 @@ def fit_marker(view: View, edges: MarkerEdges, row: int, marker: ObjectMarker) -
         return None
     left = distance - (rows @ step).reshape(distance.shape)
     noise = max(float(edges.spread[row]), 0.01) * pixel
+    total = np.maximum(weights.sum(axis=1), 1e-9)
+    sides = (weights * left).sum(axis=1) / total
+    # An object that lies along a side displaces this side, and the square by half of that.
+    oblong = float(sides[0] - sides[1] + sides[2] - sides[3]) ** 2
+    displaced = 0.25 * max(oblong - _NOISY_OBLONG * noise**2 * float((1.0 / total).sum()), 0.0)
     noise *= _misfit(left, weights, noise)
     pull = min(max(float(edges.pull[row]) - _CLEAN, 0.0), 0.99)
     smeared = _SMEARED * pixel * pull / (1.0 - pull)
     covariance = inverse[:3, :3] * noise**2
-    covariance += np.diag(np.square([smeared, smeared, smeared / marker.size]))
+    extra = smeared**2 + displaced
+    covariance += np.diag([extra, extra, extra / marker.size**2])
     return PoseFit(pose, covariance, float(size))
 
 
