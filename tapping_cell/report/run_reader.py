@@ -78,11 +78,14 @@ def illustrated_run(bag: Bag, name: str) -> IllustratedRun:
     """Extract the run from a bag; a truncated bag gives the recorded part of the run.
 
     Raises:
-        tapping_cell.report.bag.BagError: the bag has no goal.
+        tapping_cell.report.bag.BagError: the bag has no goal, or a damaged message type.
     """
     notes = notes_of(bag)
-    run = (_arranged if notes.get("arrangement") else _positioned)(bag, name, notes)
-    return IllustratedRun(run, pictures_of(bag, run.began))
+    try:
+        run = (_arranged if notes.get("arrangement") else _positioned)(bag, name, notes)
+        return IllustratedRun(run, pictures_of(bag, run.began))
+    except AttributeError as error:  # a message lacks a field
+        raise BagError(f"{bag.path} is damaged: {error}") from error
 
 
 def _run(
