@@ -108,7 +108,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for reports[name] in _reports(section, chosen.count, chosen.folder):
             text = "\n".join(f"    {line}" for line in section.lines(reports[name]))
             if chosen.write:
-                write_section(RESULTS, name, chosen.count, text)
+                command = f"python -m benchmarks --section {name}"
+                command += f" --count {chosen.count}" if chosen.count else ""
+                write_section(RESULTS, name, text, command)
         if not chosen.json:
             print(f"{name}:\n{text}", flush=True)
     if chosen.json:
@@ -128,11 +130,11 @@ def _reports(section: ModuleType, count: int | None, folder: Path | None) -> Ite
         yield section.measure()
 
 
-def write_section(file: Path, name: str, count: int | None, text: str) -> None:
-    """Replace one section in the page of results and keep the other sections."""
+def write_section(file: Path, name: str, text: str, command: str) -> None:
+    """Replace one section in the page of results and keep the other sections. ``command``: command
+    that has measured the section."""
     before = file.read_text(encoding="utf-8") if file.exists() else ""
     sections = dict(re.findall(r"^## (\S+)\n(.*?)(?=^## |\Z)", before, re.MULTILINE | re.DOTALL))
-    command = f"python -m benchmarks --section {name}" + (f" --count {count}" if count else "")
     machine = f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}"
     sections[name] = (
         f"\n`{command}`, {date.today()}, {machine}, load {os.getloadavg()[0]:.1f}:\n\n{text}\n\n"

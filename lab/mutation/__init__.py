@@ -12,10 +12,10 @@ import time
 
 import pytest
 
-from lab.mutation.mutants import Mutant, Source
+from lab.mutation.mutants import Source
 from lab.mutation.relevant import test_files
-from lab.mutation.runs import A_GOAL_S, PATIENCE_S, Result, Runner
-from lab.mutation.table import row, survivor, write
+from lab.mutation.runs import A_GOAL_S, Result, Runner
+from lab.mutation.table import lines, survivor, write
 
 MODULES = tuple(
     f"{room}.{name}"
@@ -44,7 +44,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--jobs", type=int, default=os.cpu_count(), metavar="N", help="processes")
     parser.add_argument("--list", action="store_true", help="print the mutants and run nothing")
-    parser.add_argument("--write", action="store_true", help="write benchmarks/RESULTS.md")
+    parser.add_argument(
+        "--write", action="store_true", help="write the modules to benchmarks/RESULTS.md"
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -89,20 +91,23 @@ def run(arguments: argparse.Namespace) -> int:
         campaign=(lambda: campaign(arguments.campaign, SEED)) if arguments.campaign else None,
         campaign_s=A_GOAL_S * (arguments.campaign or 0),
     )
-    options = ("-q", "-s", "-p", "no:cacheprovider", "-o", f"timeout={PATIENCE_S}")
+    options = ("-q", "-s", "-p", "no:cacheprovider", "-p", "no:warnings", "-o", "timeout=0")
     files = test_files({source.module.__name__ for source in sources})
     code = pytest.main([*options, *files], plugins=[runner])
     if code:
         return int(code)
-    for source in sources:
-        print(row(source.name, [each for each in results if _of(each.mutant, source)]))
+    table = {
+        source.name: lines(
+            source.name,
+            [each for each in results if each.mutant.name.startswith(f"{source.name}:")],
+        )
+        for source in sources
+    }
+    for name in table:
+        print(table[name][0])
     if arguments.write:
-        write(sources, results, arguments.campaign)
+        write(table, arguments.campaign)
     return 0
-
-
-def _of(mutant: Mutant, source: Source) -> bool:
-    return mutant.name.startswith(f"{source.name}:")
 
 
 def campaign(goals: int, seed: int) -> str:

@@ -32,8 +32,8 @@ class Mutant:
     name: str
     """``module:function:line in the function:operator:number``, such as
     ``logic.tapper:TapperLogic.check_firing:14:false:0``. Lines count from the ``def``."""
-    function: Function | None
-    """Outermost function that contains the change; None: a constant of the module."""
+    place: Function | ast.Assign
+    """Outermost function that contains the change, or assignment of a constant of the module."""
     parent: ast.AST
     field: str
     index: int | None
@@ -70,32 +70,31 @@ class Source:
         """All mutants, in the order of the source."""
         made: list[Mutant] = []
         numbers: Counter[str] = Counter()
-        for place, function, first in self._places():
-            statement = first if isinstance(first, ast.stmt) else None
-            for parent, field, index, node, lines in _walk(first, statement):
+        for title, place in self._places():
+            for parent, field, index, node, lines in _walk(place, place):
                 whole = field == "test" and isinstance(node, ast.Compare)
                 for operator, new in replacements(node, self.module):
-                    if operator == "drop" and place.endswith("__init__"):
+                    if operator == "drop" and title.endswith("__init__"):
                         continue  # the next use of the attribute fails
                     if whole and isinstance(node.ops[0], EQUALITIES):
                         break  # the condition is forced both ways
-                    base = f"{self.name}:{place}:{lines.start - first.lineno}:{operator}"
+                    base = f"{self.name}:{title}:{lines.start - place.lineno}:{operator}"
                     name = f"{base}:{numbers[base]}"
                     numbers[base] += 1
-                    made.append(Mutant(name, function, parent, field, index, new, lines))
+                    made.append(Mutant(name, place, parent, field, index, new, lines))
         return made
 
-    def _places(self) -> Iterator[tuple[str, Function | None, ast.stmt]]:
+    def _places(self) -> Iterator[tuple[str, Function | ast.Assign]]:
         """Return the name and the node of each outermost function and numeric constant."""
         for node in self.tree.body:
             if isinstance(node, ast.ClassDef):
                 for inner in node.body:
                     if isinstance(inner, Function):
-                        yield f"{node.name}.{inner.name}", inner, inner
+                        yield f"{node.name}.{inner.name}", inner
             elif isinstance(node, Function):
-                yield node.name, node, node
+                yield node.name, node
             elif isinstance(node, ast.Assign) and constant_of(node) in vars(self.module):
-                yield constant_of(node), None, node
+                yield constant_of(node), node
 
     def plant(self, mutant: Mutant) -> None:
         """Apply a mutant in this process, for ever.
@@ -113,17 +112,16 @@ class Source:
             code = compile(self.tree, self.file, "exec")
         except SyntaxError as error:
             raise CannotPlant(str(error)) from error
-        if mutant.function is None:
-            assert isinstance(mutant.parent, ast.Assign)
-            self._replace_constant(mutant.parent, code)
+        if isinstance(mutant.place, ast.Assign):
+            self._replace_constant(mutant.place)
             return
-        key = mutant.function.name, _first_line(mutant.function)
+        key = mutant.place.name, _first_line(mutant.place)
         try:
             _functions(self.module)[key].__code__ = _find(code, key)
         except (KeyError, ValueError) as error:
             raise CannotPlant(f"{mutant.name}: {error}") from error
 
-    def _replace_constant(self, assignment: ast.Assign, code: CodeType) -> None:
+    def _replace_constant(self, assignment: ast.Assign) -> None:
         """Evaluate a constant again, and replace it wherever it was imported by its name."""
         name = constant_of(assignment)
         old = vars(self.module)[name]
@@ -146,12 +144,11 @@ def constant_of(node: ast.Assign) -> str:
 
 
 def _walk(
-    parent: ast.AST, statement: ast.stmt | None
+    parent: ast.AST, statement: ast.stmt
 ) -> Iterator[tuple[ast.AST, str, int | None, ast.AST, range]]:
     """Return all nodes below a node with their parents and the lines of their statements."""
     for field, index, child in children(parent):
         inner = child if isinstance(child, ast.stmt) else statement
-        assert inner is not None
         yield parent, field, index, child, _lines(inner)
         yield from _walk(child, inner)
 

@@ -11,6 +11,7 @@ import ast
 import os
 import pickle
 import resource
+import signal
 import sys
 import threading
 import time
@@ -33,8 +34,8 @@ A_GOAL_S = 3.0
 """Processor time that a campaign may take for each goal."""
 MEMORY_B = 8 << 30
 """Limit of a mutant's address space."""
-PATIENCE_S = 60
-"""Limit of the duration of one test, for a test that waits for ever."""
+PATIENCE = 20
+"""Multiple of the limit of the processor time after which a mutant that waits for ever is ended."""
 ROOMS = tuple(str(Path(tapping_cell.__path__[0]) / room) for room in ("logic", "hardware"))
 """Folders of the product whose executed lines are recorded."""
 
@@ -202,7 +203,7 @@ def _tests_of(
     """Return the numbers of the tests that execute the changed statement, or a statement that uses
     the changed constant."""
     wanted = {(source.file, line) for line in mutant.lines}
-    if mutant.function is None:
+    if isinstance(mutant.place, ast.Assign):
         wanted = uses[mutant.name.split(":")[1]]
     return [test for test, places in enumerate(covered.places) if not wanted.isdisjoint(places)]
 
@@ -236,6 +237,7 @@ def _fork(work: Callable[[], object], limit: float | None = None) -> tuple[int, 
         if limit is not None:
             whole = int(limit) + 1
             resource.setrlimit(resource.RLIMIT_CPU, (whole, whole))
+            signal.alarm(PATIENCE * whole)
         result = pickle.dumps(work())
         with os.fdopen(writing, "wb") as stream:
             stream.write(result)

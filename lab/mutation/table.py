@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Sequence
+
+from benchmarks.__main__ import RESULTS, write_section
 from lab.mutation.equivalent import REASONS
 from lab.mutation.mutants import Mutant
 from lab.mutation.runs import Result
+
+SECTION = "mutation"
 
 
 def survivor(mutant: Mutant) -> str:
@@ -13,17 +19,28 @@ def survivor(mutant: Mutant) -> str:
     return f"  {mutant.name}  {mutant.change()}" + (f"  ({reason})" if reason else "")
 
 
-def row(name: str, results: list[Result]) -> str:
-    """Return the line of a module."""
+def lines(name: str, results: Sequence[Result]) -> list[str]:
+    """Return the lines of a module: its counts, and its survivors."""
     tests = sum(bool(each.test) for each in results)
     campaign = sum(bool(each.violation) for each in results)
     left = [each.mutant for each in results if not (each.test or each.violation)]
     explained = sum(mutant.name in REASONS for mutant in left)
-    return (
-        f"{name:<22} {len(results):>5} mutants: tests found {tests:>5}, the campaign"
-        f" {campaign:>3}; {len(left):>3} survive, {explained:>3} with a reason"
+    counts = (
+        f"{name:<22} {len(results):>4} mutants; found by tests {tests:>4}, by the campaign"
+        f" {campaign:>3}; survivors {len(left):>3}, with a reason {explained:>3}"
     )
+    return [counts, *(survivor(mutant) for mutant in left)]
 
 
-def write(*_: object) -> None:
-    raise NotImplementedError
+def write(modules: dict[str, list[str]], goals: int | None) -> None:
+    """Replace the lines of these modules in the page of results, and keep the other modules."""
+    page = RESULTS.read_text(encoding="utf-8") if RESULTS.exists() else ""
+    section = re.search(rf"^## {SECTION}\n(.*?)(?=^## |\Z)", page, re.MULTILINE | re.DOTALL)
+    kept: dict[str, list[str]] = {}
+    for line in re.findall(r"^    (.+)$", section[1] if section else "", re.MULTILINE):
+        name = next(reversed(kept)) if line.startswith(" ") else line.split()[0]
+        kept.setdefault(name, []).append(line)
+    kept |= modules
+    text = "\n".join(f"    {line}" for name in sorted(kept) for line in kept[name])
+    command = f"python -m lab mutate --write{f' --campaign {goals}' if goals else ''}"
+    write_section(RESULTS, SECTION, text, command)
