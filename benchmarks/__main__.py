@@ -32,6 +32,7 @@ LONG_SECTIONS = (
     "arm-controllers",
     "arrangements",
     "calibration",
+    "campaign",
     "composition",
     "cycle",
     "demos",
@@ -91,8 +92,8 @@ def make_parser() -> argparse.ArgumentParser:
         metavar="N",
         help="number of scenes (arrangements, outline), images (opencv-versions), scenes or frames "
         "(vision*), experiments (calibration, lack-of-fit), demos per truth file (demos), demos "
-        "(precision-graph), callbacks (composition), goals (cycle, fixed-cycle, simulated-time, "
-        "two-computers, unknown-worlds), losses (disarm), moves of a controller "
+        "(precision-graph), callbacks (composition), goals (campaign, cycle, fixed-cycle, "
+        "simulated-time, two-computers, unknown-worlds), losses (disarm), moves of a controller "
         "(arm-controllers), freezes of a node (lost-nodes), goals per mutant (mutants), trials "
         "(fixed-tappers, precision, unknown-objects), or seconds (node, idle) (default: set by "
         "each section)",
