@@ -29,7 +29,11 @@ UNUSED = (
         for name in ("cppcheck", "cpplint", "flake8", "pep257", "uncrustify")
     ),
     # options of `colcon test`, and the search for pkg-config files
-    *("colcon-pkg-config", "coverage", "pytest-cov", "pytest-repeat", "pytest-rerunfailures"),
+    "colcon-pkg-config",
+    "coverage",
+    "pytest-cov",
+    "pytest-repeat",
+    "pytest-rerunfailures",
     "docutils",  # catkin-pkg parses changelogs with it
     "zstandard",  # mcap decompresses bags of others with it
 )
