@@ -3,13 +3,12 @@ results.
 
     python environment/run_tests.py [pytest options]
 
-The pure ring is limited by the processor and does not depend on time. The pure ring runs at low
-priority in parallel with the other rings. The rings of the drivers and of the nodes mostly wait, so
-each of these two rings distributes its tests to several processes. Tests of nodes that are marked
-``alone`` publish or process images at the camera's frame rate, and the graph tests run all nodes in
-real time. These tests run one after the other. The graph tests run after the pure ring has ended.
-Every ring runs even if an earlier ring failed. At the end, the duration and the processor time of
-each ring are printed. The last line contains the counts of all rings.
+The pure ring is limited by the processor and does not depend on time. The other rings run in real
+time, so nothing runs beside them: the rings of the drivers and of the nodes mostly wait and
+distribute their tests to several processes; tests of nodes that are marked ``alone`` process images
+at the camera's rate, and the graph tests run all nodes, so these run one after the other. Every
+ring runs even if an earlier ring failed. At the end, the processor time of each ring and the ten
+slowest tests are printed. The last line contains the counts of all rings.
 """
 
 from __future__ import annotations
@@ -23,26 +22,23 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from contextlib import ExitStack
 from pathlib import Path
-from typing import IO
 
 ROOT = Path(__file__).resolve().parent.parent
 # Name of the ring (the name of its folder in test/), and the options with which the ring is run.
 RINGS: dict[str, tuple[str, ...]] = {
     "pure": ("pure", "-n", "2"),
-    "pty": ("pty", "-n", "4"),
-    "nodes": ("nodes", "-m", "not alone", "-n", "3"),
+    "pty": ("pty", "-n", "3"),
+    "nodes": ("nodes", "-m", "not alone", "-n", "2"),
     "nodes, alone": ("nodes", "-m", "alone"),
     "graph": ("graph",),
 }
-BESIDE = "pure"  # runs in parallel with the other rings
-ALONE = "graph"  # whole graphs in real time: nothing else runs at the same time
-LOW_PRIORITY = 15  # niceness of the ring that runs in parallel with the others
+SLOWEST = 10
 NO_TESTS_COLLECTED = 5  # pytest's exit code
 # The words in pytest's closing line.
 OUTCOMES = ("failed", "passed", "skipped", "deselected", "xfailed", "xpassed", "warnings", "errors")
 COUNT = re.compile(rf"(\d+) ({'|'.join(OUTCOMES)}|warning|error)\b")
+DURATION = re.compile(r"([\d.]+)s (?:call|setup|teardown) +\S+")
 
 
 def counts_of(closing_line: str) -> Counter[str]:
@@ -59,22 +55,12 @@ def closing_line(counts: Counter[str], seconds: float) -> str:
     return f" {', '.join(counted) or 'no tests ran'} in {seconds:.2f}s ".center(80, "=")
 
 
-def started(ring: str, options: Sequence[str], output: int | IO[str]) -> subprocess.Popen[str]:
+def started(ring: str, options: Sequence[str]) -> subprocess.Popen[str]:
     """Start the tests of a ring and return the process."""
     folder, *own = RINGS[ring]
-    command = [sys.executable, "-m", "pytest", f"test/{folder}", *own, *options]
-    if ring == BESIDE:
-        command = ["nice", "-n", str(LOW_PRIORITY), *command]
-    return subprocess.Popen(command, cwd=ROOT, stdout=output, text=True)
-
-
-def ended(ring: str, process: subprocess.Popen[str], began: float) -> str:
-    """Wait for the tests of a ring, and return a line with their duration and processor time, in
-    s."""
-    before = processor_time()
-    process.wait()
-    used = processor_time() - before
-    return f"{ring:<14} {time.monotonic() - began:6.0f} s, processor time {used:6.0f} s"
+    durations = f"--durations={SLOWEST}"
+    command = [sys.executable, "-m", "pytest", f"test/{folder}", *own, durations, *options]
+    return subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True)
 
 
 def processor_time() -> float:
@@ -83,11 +69,15 @@ def processor_time() -> float:
     return usage.ru_utime + usage.ru_stime
 
 
-def count_outcomes(ring: str, lines: Iterable[str]) -> Counter[str]:
-    """Print the output of a ring and return its counts."""
+def count_outcomes(ring: str, lines: Iterable[str], slow: list[str]) -> Counter[str]:
+    """Print the output of a ring and return its counts. The lines with the durations of its slowest
+    tests are added to ``slow``."""
     print(f"---- ring {ring}", flush=True)
     last = ""
     for line in lines:
+        if DURATION.match(line):
+            slow.append(line.rstrip())
+            continue
         print(line, end="", flush=True)
         last = line if line.strip() else last
     return counts_of(last)
@@ -99,41 +89,24 @@ def run_rings(options: Sequence[str]) -> tuple[list[str], Counter[str]]:
     total: Counter[str] = Counter()
     failed: list[str] = []
     durations: list[str] = []
-    began = time.monotonic()
-
-    def judge(ring: str, status: int) -> None:
+    slow: list[str] = []
+    for ring, (folder, *_) in RINGS.items():
+        if not (ROOT / "test" / folder).is_dir():
+            print(f"---- ring {ring}: there is no folder test/{folder}", flush=True)
+            failed.append(ring)
+            continue
+        began, before = time.monotonic(), processor_time()
+        with started(ring, options) as process:
+            assert process.stdout is not None
+            total += count_outcomes(ring, process.stdout, slow)
         # A selection (-k, -m) may leave a ring without tests. Without a selection, each ring must
         # have tests.
-        if status != 0 and not (status == NO_TESTS_COLLECTED and options):
+        if process.returncode and not (process.returncode == NO_TESTS_COLLECTED and options):
             failed.append(ring)
-
-    there = [ring for ring in RINGS if (ROOT / "test" / RINGS[ring][0]).is_dir()]
-    for ring in RINGS.keys() - there:
-        print(f"---- ring {ring}: there is no folder test/{RINGS[ring][0]}", flush=True)
-        failed.append(ring)
-    with ExitStack() as stack:
-        beside: subprocess.Popen[str] | None = None
-        if BESIDE in there:
-            log = stack.enter_context(tempfile.TemporaryFile("w+"))
-            beside = stack.enter_context(started(BESIDE, options, log))
-            stack.callback(beside.terminate)  # has no effect if the process has ended
-        for ring in there:
-            if ring == BESIDE:
-                continue
-            if ring == ALONE and beside is not None:
-                durations.append(ended(BESIDE, beside, began))
-            ring_began = time.monotonic()
-            with started(ring, options, subprocess.PIPE) as process:
-                assert process.stdout is not None
-                total += count_outcomes(ring, process.stdout)
-                durations.append(ended(ring, process, ring_began))
-            judge(ring, process.returncode)
-        if beside is not None:
-            if beside.returncode is None:
-                durations.append(ended(BESIDE, beside, began))
-            judge(BESIDE, beside.returncode)
-            log.seek(0)
-            total += count_outcomes(BESIDE, log)
+        took, used = time.monotonic() - began, processor_time() - before
+        durations.append(f"{ring:<14} {took:6.0f} s, processor time {used:6.0f} s")
+    slow.sort(key=lambda line: -float(line.split("s ")[0]))
+    print("---- slowest tests", *slow[:SLOWEST], sep="\n", flush=True)
     print("---- durations", *durations, sep="\n", flush=True)
     return failed, total
 

@@ -12,7 +12,7 @@ from tapping_cell.configuration.cell import Cell
 from tapping_cell.logic import goal_handling
 from tapping_cell.logic.table_maps import TableMaps
 from tapping_cell.nodes import cell_identity
-from tapping_cell.nodes.page.goal_check import GoalCheck
+from tapping_cell.nodes.page.arrangements import GoalCheck
 from tapping_cell.planning import FreeSpace
 
 _MAPS: dict[str, TableMaps] = {}

@@ -510,10 +510,10 @@ def test_a_failing_test_ring_fails_the_whole_run(
 ):
     """``rings``: the closing line and the exit code of the tests of each ring."""
 
-    def started(ring, _, output):
+    def started(ring, _):
         words, code = rings[ring]
         line = f"echo '=== {words} in 0.01s ==='; exit {code}"
-        return subprocess.Popen(["sh", "-c", line], stdout=output, text=True)
+        return subprocess.Popen(["sh", "-c", line], stdout=subprocess.PIPE, text=True)
 
     monkeypatch.setattr(run_tests, "ROOT", tmp_path)
     monkeypatch.setattr(run_tests, "RINGS", {"pure": ("pure",), "pty": ("pty",)})
@@ -527,14 +527,13 @@ def test_a_failing_test_ring_fails_the_whole_run(
 @pytest.mark.parametrize("asserted", [True, False])
 def test_a_ring_is_run_by_pytest(tmp_path, monkeypatch, asserted):
     monkeypatch.setattr(run_tests, "ROOT", tmp_path)
-    monkeypatch.setattr(run_tests, "LOW_PRIORITY", 0)  # this test already runs with low priority
     monkeypatch.setattr(run_tests, "RINGS", {"pure": ("pure",)})
     monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")
     monkeypatch.delenv("PYTEST_ADDOPTS", raising=False)
     folder = tmp_path / "test" / "pure"
     folder.mkdir(parents=True)
     (folder / "test_pure.py").write_text(f"def test_it(): assert {asserted}\n")
-    process = run_tests.started("pure", (), subprocess.PIPE)
+    process = run_tests.started("pure", ())
     output, _ = process.communicate()
     expected = "passed" if asserted else "failed"
     assert run_tests.counts_of(output.splitlines()[-1]) == {expected: 1}
