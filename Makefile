@@ -1,5 +1,6 @@
 # make demo [ARGS="--seed 3"]   position a disk in the simulated world
 # make test [ARGS="-k name"]    every ring of the tests
+# make campaign                 the checks that take hours, recorded in benchmarks/RESULTS.md
 # make oldest [ARGS=test/pure]  pure and driver tests and a demo with the versions of Ubuntu 24.04
 # make lint                     style and types
 # make clean                    remove everything that was made here
@@ -13,13 +14,17 @@ SHELL := /bin/bash
 .SHELLFLAGS := -e -u -o pipefail -c
 ARGS ?=
 
-.PHONY: demo test oldest lint clean lock reference docs
+.PHONY: demo test campaign oldest lint clean lock reference docs
 
 demo:
 	@. ./env.sh; python -m tapping_cell demo $(ARGS)
 
 test:
 	@. ./env.sh; python environment/run_tests.py $(ARGS)
+
+campaign:
+	@. ./env.sh; python -m benchmarks --section simulated-time --count 20000 --write; python -m lab mutate --write; \
+		HYPOTHESIS_PROFILE=campaign python -m pytest test/pure -n auto -q --timeout 0 $(ARGS)
 
 oldest:
 	@. ./env.sh; python environment/run_oldest.py $(ARGS)

@@ -22,33 +22,22 @@ from types import ModuleType
 
 # A section is a module with ``measure() -> dict`` (printed by --json) and ``lines(report) ->
 # list[str]`` (the report as text). If a module defines ``DEFAULT_COUNT``, its ``measure(count)``
-# takes a number of goals, images, seconds or other items, depending on the module. A module may
+# takes a number of goals, images, seconds or other items, depending on the module. If it defines
+# ``FOLDER``, its ``measure(folder)`` takes a folder of photographs. A module may
 # define ``partial_reports(count)`` in place of ``measure``. ``partial_reports`` yields a report
 # after each part, so that --write stores the completed parts.
 SECTIONS = ("calibrate", "drivers", "emergency_stop", "mechanics", "vision")
 
 # Long sections, which run only if they are named.
 LONG_SECTIONS = (
-    "arm-controllers",
     "arrangements",
     "calibration",
-    "composition",
     "cycle",
-    "demos",
-    "disarm",
-    "fixed-cycle",
     "fixed-tappers",
     "idle",
-    "lack-of-fit",
     "lost-nodes",
-    "mutants",
-    "node",
-    "opencv-versions",
-    "outline",
-    "page-stop",
+    "photographs",
     "precision",
-    "precision-graph",
-    "precision-limit",
     "simulated-time",
     "two-computers",
     "unknown-objects",
@@ -74,6 +63,7 @@ machine and its load; errors do not.
 def make_parser() -> argparse.ArgumentParser:
     """Create the parser of the command line."""
     parser = argparse.ArgumentParser(
+        allow_abbrev=False,
         prog="python -m benchmarks",
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
@@ -89,13 +79,11 @@ def make_parser() -> argparse.ArgumentParser:
         "--experiments",
         type=int,
         metavar="N",
-        help="number of scenes (arrangements, outline), images (opencv-versions), scenes or frames "
-        "(vision*), experiments (calibration, lack-of-fit), demos per truth file (demos), demos "
-        "(precision-graph), callbacks (composition), goals (cycle, fixed-cycle, simulated-time, "
-        "two-computers, unknown-worlds), losses (disarm), moves of a controller "
-        "(arm-controllers), freezes of a node (lost-nodes), goals per mutant (mutants), trials "
-        "(fixed-tappers, precision, unknown-objects), or seconds (node, idle) (default: set by "
-        "each section)",
+        help="size of a section: its number of goals, trials, scenes, frames, experiments or "
+        "seconds (default: set by each section)",
+    )
+    parser.add_argument(
+        "--folder", type=Path, help="photographs of boards (section photographs, which needs it)"
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.add_argument(
@@ -110,11 +98,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if chosen.count is not None and chosen.count < 1:
         print(f"--count is {chosen.count}; it must be at least 1", file=sys.stderr)
         return 2
+    if "photographs" in (chosen.section or ()) and chosen.folder is None:
+        print("--section photographs needs --folder", file=sys.stderr)
+        return 2
     reports = {}
     for name in chosen.section or SECTIONS:
         section = importlib.import_module(f"benchmarks.{name.replace('-', '_')}")
         text = ""
-        for reports[name] in _reports(section, chosen.count):
+        for reports[name] in _reports(section, chosen.count, chosen.folder):
             text = "\n".join(f"    {line}" for line in section.lines(reports[name]))
             if chosen.write:
                 command = f"python -m benchmarks --section {name}"
@@ -127,10 +118,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
-def _reports(section: ModuleType, count: int | None) -> Iterator[object]:
+def _reports(section: ModuleType, count: int | None, folder: Path | None) -> Iterator[object]:
     """Measure a section and yield one or more reports; the last report covers all parts."""
     if hasattr(section, "partial_reports"):
         yield from section.partial_reports(count or section.DEFAULT_COUNT)
+    elif hasattr(section, "FOLDER"):
+        yield section.measure(folder)
     elif hasattr(section, "DEFAULT_COUNT"):
         yield section.measure(count or section.DEFAULT_COUNT)
     else:

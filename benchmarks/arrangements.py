@@ -4,25 +4,17 @@ The scenes contain disks and squares with radii of 20 to 40 mm and gaps of 40 mm
 a radius of 25 mm whose goals form a grid. The trials use the scatter from the paper, systematic
 errors of 5 % in distance and 15 % in rotation, and a camera with 0.1 mm and 0.1 degrees of noise.
 The ground truth of every pose and every contact is recorded.
-
-Every scene is stored when it ends, so that an interrupted run can be resumed. Stored scenes of
-another version of the planner are not used; these scenes are run again.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from collections.abc import Iterator
-from dataclasses import fields
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from benchmarks.source_digest import source_digest
-from tapping_cell import mechanics, planning
 from tapping_cell.cli import evaluate
 from tapping_cell.planning.evaluation.arrangements import (
     METHODS,
@@ -35,15 +27,9 @@ from tapping_cell.planning.evaluation.arrangements import (
 DEFAULT_COUNT = 200
 SEED = 1
 
-SCENES = Path(__file__).resolve().parent.parent / "runs" / "benchmark_arrangements.jsonl"
-"""File of the scenes that have ended, with one JSON object per line."""
-
 GAIN_BIAS = (0.05, 0.15)
 OPTIONS = ["--camera-noise", "0.1", "0.1"]
 GRID_GAPS_MM = (40, 30, 20)
-
-DRAWN = ("history", "goals", "outlines", "table")
-"""Fields of a trial that are needed only for drawings and are not stored."""
 
 Group = tuple[str, ArrangementTask, list[str], float]
 """A group of trials: its name, its task, additional options for the shapes, and its share. The
@@ -85,42 +71,18 @@ def partial_reports(count: int = DEFAULT_COUNT) -> Iterator[dict[str, Any]]:
     """Yield the report after each group. The number of scenes of a group is its share times
     ``count``."""
     rows: list[dict[str, Any]] = []
-    state, kept = source_digest(mechanics, planning), _stored_scenes()
     for name, task, options, share in groups():
-        parser = argparse.ArgumentParser()
+        parser = argparse.ArgumentParser(allow_abbrev=False)
         evaluate.add_arguments(parser)
         kinds = evaluate.arrangement_kinds(parser.parse_args([*OPTIONS, *options]))
         number = max(1, round(share * count))
         trials: list[ArrangementTrial] = []
         for scene, seed in enumerate(np.random.SeedSequence(SEED).spawn(number)):
-            key = f"{state}/{name}/{scene}"
-            if key not in kept:
-                trial, _ = run_arrangement(task, kinds, np.random.default_rng(seed))
-                kept[key] = _stored(trial)
-                _store(key, kept[key])
-            trials.append(ArrangementTrial(**kept[key]))
+            trials.append(run_arrangement(task, kinds, np.random.default_rng(seed))[0])
             done = sum(trial.end == "done" for trial in trials)
             print(f"{name}: {scene + 1} of {number} scenes, {done} done", file=sys.stderr)
         rows.append({"name": name, **summarise_arrangements(trials)})
         yield {"rows": list(rows)}
-
-
-def _stored(trial: ArrangementTrial) -> dict[str, Any]:
-    names = [each.name for each in fields(trial) if each.name not in DRAWN]
-    return {name: getattr(trial, name) for name in names}
-
-
-def _store(key: str, trial: dict[str, Any]) -> None:
-    SCENES.parent.mkdir(parents=True, exist_ok=True)
-    with SCENES.open("a", encoding="utf-8") as file:
-        file.write(json.dumps([key, trial], default=float) + "\n")
-
-
-def _stored_scenes() -> dict[str, dict[str, Any]]:
-    if not SCENES.exists():
-        return {}
-    whole = SCENES.read_text(encoding="utf-8").rpartition("\n")[0]  # without an unfinished line
-    return dict(json.loads(line) for line in whole.splitlines())
 
 
 def lines(report: dict[str, Any]) -> list[str]:

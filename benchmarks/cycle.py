@@ -1,14 +1,10 @@
 """Time per tap by activity for the published task: 10 mm and 10 degrees, back and forth.
 
-Two cells are measured. In the first cell, every node is a process, with rendered images and
-emulated boards. In the second cell, the same state machines, drivers and boards run in virtual
-time. There, software takes no time and messages take a few milliseconds, so that a tap lasts only
-slightly longer than its mechanics require. A tap lasts from its command to the next command, or to
-the end of its goal. This time is divided into consecutive activities without gaps or overlaps. Two
-activities overlap with others and are listed separately: the slide, and charging while the arm
-moves. The planned duration of the arm's motion to the strike is also listed. The two cells make
-different taps, and the arm's motions differ in length. The planned duration of the motion to the
-strike is therefore subtracted from each cycle before the cycles are compared.
+Every node is a process, with rendered images and emulated boards. A tap lasts from its command to
+the next command, or to the end of its goal. This time is divided into consecutive activities
+without gaps or overlaps. Two activities overlap with others and are listed separately: the slide,
+and charging while the arm moves. The planned duration of the arm's motion to the strike is also
+listed.
 """
 
 from __future__ import annotations
@@ -17,10 +13,8 @@ import io
 import math
 import os
 from collections import defaultdict
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -36,8 +30,6 @@ from tapping_cell.logic.poses import from_message
 from tapping_cell.nodes.cell_node import COMMAND, LATCHED
 from tapping_cell.nodes.clients.goal_client import GoalClient
 from tapping_cell.se2 import Pose, wrap_angle
-from tapping_cell.verification.host import HostClock
-from tapping_cell.verification.trial import Trial
 
 DEFAULT_COUNT = 20
 MOVES = ((10.0, 0.0, 10.0), (-10.0, 0.0, -10.0))
@@ -94,14 +86,13 @@ class Stopwatch:
     """Records the times of each tap from the stamps of the cell's messages."""
 
     def __init__(self, cell: Cell) -> None:
-        has_arm = cell.file.arm is not None
         self._times = arm_times(cell)
         self._tip: tuple[float, ...] | None = None
         self.taps: list[Tap] = []
         self.goals: list[tuple[float, int]] = []
         """Duration (s) and number of taps of each reached goal."""
         self._accepted = math.nan
-        self._height = cell.arm.travel_height if has_arm else 0.0
+        self._height = cell.arm.travel_height
         self._tap: Tap | None = None
         self._ids: list[int] = []
 
@@ -121,7 +112,8 @@ class Stopwatch:
             getattr(self, f"_{topic}")(self._tap, message, stamp)
 
     def _planned(self, strike: Pose) -> float:
-        """Return the planned duration of the arm's motion to a strike, in s; NaN without an arm."""
+        """Return the planned duration of the arm's motion to a strike, in s; NaN before the arm has
+        reported a pose."""
         if self._times is None or self._tip is None:
             return math.nan
         return self._times.to_strikes(self._tip, np.array([strike])).item()
@@ -190,12 +182,8 @@ def _seconds(stamp: Any) -> float:
 
 
 def measure(count: int = DEFAULT_COUNT) -> dict[str, Any]:
-    """Return the mean duration of every activity over ``count`` goals in each cell, in s."""
-    return {
-        "mechanics": _summary(in_virtual_time(count)),
-        "graph": _summary(in_graph(count)),
-        "load": os.getloadavg()[0],
-    }
+    """Return the mean duration of every activity over ``count`` goals, in s."""
+    return {**_summary(in_graph(count)), "load": os.getloadavg()[0]}
 
 
 def _summary(watch: Stopwatch) -> dict[str, Any]:
@@ -219,86 +207,29 @@ def _summary(watch: Stopwatch) -> dict[str, Any]:
 
 def lines(report: dict[str, Any]) -> list[str]:
     """Format the report as lines of text."""
-    free, graph = report["mechanics"], report["graph"]
-    rows = [
-        f"{'':32s}{'virtual time':>14s}{'graph':>10s}{'difference':>12s}",
-        *(
-            f"{name:32s}{free[name]:12.3f} s{graph[name]:8.3f} s{graph[name] - free[name]:10.3f} s"
-            for name in (*ACTIVITIES, "cycle")
-        ),
-        *(f"{'(' + name + ')':32s}{free[name]:12.3f} s{graph[name]:8.3f} s" for name in BESIDES),
+    return [
+        *(f"{name:32s}{report[name]:8.3f} s" for name in (*ACTIVITIES, "cycle")),
+        *(f"{'(' + name + ')':32s}{report[name]:8.3f} s" for name in BESIDES),
+        f"{report['goals']} goals, {report['goal']:.2f} s and {report['taps_a_goal']:.2f} taps"
+        f" each, from the goal to its end; load {report['load']:.1f} on {os.cpu_count()} cores",
     ]
-    for name, part in (("virtual time", free), ("graph", graph)):
-        rows.append(
-            f"{name}: {part['goals']} goals, {part['goal']:.2f} s and {part['taps_a_goal']:.2f}"
-            " taps each, from the goal to its end"
-        )
-    software = _without_planned_motion(graph) - _without_planned_motion(free)
-    rows.append(
-        f"software, messages and images: {software:.2f} s per tap"
-        f" ({100 * software / graph['cycle']:.0f} %), the difference of the cycles without the"
-        f" planned motion; load {report['load']:.1f} on {os.cpu_count()} cores"
-    )
-    return rows
 
 
-def _without_planned_motion(cell: dict[str, Any]) -> float:
-    return float(cell["cycle"] - cell["planned motion to the strike"])
-
-
-class QuietTrial(Trial):
-    """A cell in virtual time and without faults. Its computers share one clock."""
-
-    def __init__(self, seed: int, on_message: Callable[[str, Any], None]) -> None:
-        self._receive = on_message
-        super().__init__(seed, faults=False)
-
-    def _make_clock(self) -> HostClock:
-        return HostClock(self.scheduler)
-
-    def _on_publish(self, node: str, topic: str, message: Any) -> None:
-        super()._on_publish(node, topic, message)
-        if topic in TOPICS:
-            self._receive(topic, message)
-
-    def next_goal(self, number: int) -> Pose:
-        """Return the next goal of the published task; the goals alternate between two poses."""
-        return _goal(self.physical.object_pose(self.scheduler.now), number)
-
-
-def in_virtual_time(count: int) -> Stopwatch:
-    """Measure goals in virtual time; each pair of goals has its own cell and random seed."""
-    watch = Stopwatch(load_cell())
-    for seed in range(1, 1 + (count + 1) // len(MOVES)):
-        report = QuietTrial(seed, watch.on_message).run(len(MOVES))
-        for violation in report.violations:
-            raise RuntimeError(str(violation))
-    return watch
-
-
-def in_graph(
-    count: int, next_goal: Callable[[Pose, int], Pose] | None = None, cell_file: Path | None = None
-) -> Stopwatch:
-    """Measure goals in a cell whose nodes are processes.
-
-    ``next_goal`` computes each goal from the object's pose and the number of the goal; by default,
-    the goals are those of the published task. ``cell_file``: path of the cell file (default: that
-    of the package).
-    """
+def in_graph(count: int) -> Stopwatch:
+    """Measure goals of the published task in a cell whose nodes are processes."""
     domain = own_domain()  # the domain stays reserved until this function returns
     domain.use()
-    cell = load_cell(cell_file)
+    cell = load_cell()
     watch = Stopwatch(cell)
     quiet = Console(file=io.StringIO())
     nodes = nodes_of(cell, hardware=False)
-    parameters: dict[str, dict[str, object]] = {node: {"cell_file": cell.path} for node in nodes}
-    with simulated_graph(nodes, parameters) as graph, GoalClient("cycle_bench") as client:
+    with simulated_graph(nodes) as graph, GoalClient("cycle_bench") as client:
         for topic, (kind, quality) in TOPICS.items():
             client.node.create_subscription(kind, topic, partial(watch.on_message, topic), quality)
         for number in range(count):
             session.wait_until_ready(client, READY_TIMEOUT_S, graph.check, quiet)
             observed = client.object_state
-            client.send((next_goal or _goal)(client.object_pose(), number), observed=observed)
+            client.send(_goal(client.object_pose(), number), observed=observed)
             session.follow(client, graph.check, quiet)
     return watch
 

@@ -3,7 +3,6 @@ the real nodes.
 
 Each driver node runs as a separate process with an emulated board in this process. The latency
 includes publisher, middleware, executor, driver, terminal and the reading thread in this process.
-For comparison, a byte is written to the same terminal and received by the same thread.
 """
 
 from __future__ import annotations
@@ -53,7 +52,7 @@ class StopTimer:
 
 
 def measure() -> dict[str, Any]:
-    """Return the latencies for each node and for a plain byte through the terminal, in s."""
+    """Return the latencies for each node, in s."""
     domain = own_domain()
     domain.use()
     tapper = TapperEmulator(now=time.monotonic())
@@ -84,8 +83,8 @@ def lines(report: dict[str, Any]) -> list[str]:
     """Format the report as lines of text."""
     return [
         f"{node}: emergency_stop to the wire: median {1e3 * figures['median']:.1f} ms, p99"
-        f" {1e3 * figures['p99']:.1f} ms of {figures['stops']} stops (a plain byte: p99"
-        f" {1e3 * figures['bare_p99']:.1f} ms); load {figures['load']:.1f}"
+        f" {1e3 * figures['p99']:.1f} ms of {figures['stops']} stops; load"
+        f" {figures['load']:.1f}"
         for node, figures in report.items()
     ]
 
@@ -128,13 +127,10 @@ def _stops(
                     person()
                 publisher.publish(Bool(data=False))
                 wait(lambda: _cleared(clear, wait))
-            graph.stop()
-            bare = [_bare(path, device) for _ in range(STOPS)]
     return {
         "stops": STOPS,
         "median": float(np.median(times)),
         "p99": float(np.percentile(times, 99)),
-        "bare_p99": float(np.percentile(bare, 99)),
         "load": os.getloadavg()[0],
     }
 
@@ -145,16 +141,3 @@ def _cleared(clear: Client, wait: Callable[..., None]) -> bool:
     answer = clear.call_async(Trigger.Request())
     wait(answer.done)
     return bool(answer.result().success)
-
-
-def _bare(path: Path, device: StopTimer) -> float:
-    port = os.open(path, os.O_RDWR | os.O_NOCTTY)
-    try:
-        device.stopped_at = 0.0
-        began = time.monotonic()
-        os.write(port, b"!")
-        while not device.stopped_at:
-            time.sleep(0.0002)
-        return device.stopped_at - began
-    finally:
-        os.close(port)

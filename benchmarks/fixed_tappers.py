@@ -6,35 +6,25 @@ The observations have noise of 0.05 mm and 0.05 degrees. Three groups of trials 
 - goals at the centre of the disc with rotations of up to 30 degrees, a tenth of ``count`` trials;
 - the same goals, also a tenth of ``count`` trials, with mounts that differ from the cell file by
   0.5 mm and 0.5 degrees (standard deviations); these differences are learnt while tapping.
-
-Each part of 250 trials is stored in the cache folder when it is finished, so that the same command
-continues after an interruption. If the source code of the package mechanics or planning changes,
-the stored parts are no longer used.
 """
 
 from __future__ import annotations
 
-import hashlib
-import json
 import math
 import os
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from benchmarks.source_digest import source_digest
-from tapping_cell import mechanics, planning
 from tapping_cell.configuration.assembly import make_fixed_space, make_planner_settings
 from tapping_cell.configuration.cell import load_cell
 from tapping_cell.configuration.files import shared_folder
 from tapping_cell.planning import CameraNoise
 from tapping_cell.planning.evaluation.fixed_cell import FixedEvaluation, evaluate_fixed
 from tapping_cell.planning.evaluation.task import End
-from tapping_cell.planning.policy_cache import cache_folder
 
 DEFAULT_COUNT = 10_000
 PART = 250
@@ -66,7 +56,7 @@ def partial_reports(count: int = DEFAULT_COUNT) -> Iterator[dict[str, Any]]:
     ]
     found: dict[str, dict[str, list[Any]]] = {group: {} for group in GROUPS}
     with ProcessPoolExecutor(len(os.sched_getaffinity(0))) as pool:
-        for part, result in zip(parts, pool.map(_stored, parts), strict=True):
+        for part, result in zip(parts, pool.map(_results, parts), strict=True):
             for name, values in result.items():
                 found[part.group].setdefault(name, []).extend(values)
             yield {"groups": {group: _figures(rows) for group, rows in found.items() if rows}}
@@ -93,32 +83,14 @@ def _evaluation(part: Part) -> FixedEvaluation:
     )
 
 
-def _stored(part: Part) -> dict[str, list[Any]]:
-    """Return the results of a part from its file; if there is none, compute and store them."""
-    evaluation = _evaluation(part)
-    inputs = f"{part};{evaluation.space.key()};{evaluation.settings.key()};{evaluation.goal}"
-    inputs += f";{evaluation.start_angle};{evaluation.mount_error};{evaluation.seed}"
-    inputs += f";{source_digest(mechanics, planning)}"
-    name = hashlib.sha256(inputs.encode()).hexdigest()[:32]
-    file = cache_folder().parent / "fixed_tappers_benchmark" / f"{name}.json"
-    if file.exists():
-        return dict(json.loads(file.read_text(encoding="utf-8")))
-    results = evaluate_fixed(evaluation)
-    made = {
+def _results(part: Part) -> dict[str, list[Any]]:
+    results = evaluate_fixed(_evaluation(part))
+    return {
         "taps": results.taps.tolist(),
         "done": (results.end == End.DONE).tolist(),
         "inside": results.inside.tolist(),
         "left": results.over_edge.tolist(),
     }
-    _write(file, json.dumps(made))
-    return made
-
-
-def _write(file: Path, text: str) -> None:
-    file.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = file.with_suffix(".part")
-    unfinished.write_text(text, encoding="utf-8")
-    unfinished.replace(file)
 
 
 def _figures(rows: dict[str, list[Any]]) -> dict[str, Any]:

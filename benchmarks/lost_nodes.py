@@ -1,6 +1,6 @@
 """Safety while nodes are frozen, killed, restarted and stopped during taps, in simulated time.
 
-After every event the invariants of ``tapping_cell.verification`` are checked against the true state
+After every event the invariants of ``lab.oracle`` are checked against the true state
 of the boards. For example, a striker may be fired only while the arm is committed to stand still,
 and nothing may move without a person's permission. Runs continue until each node was frozen
 ``count`` times, and killed, restarted or stopped half as many times. Every violation is printed.
@@ -22,10 +22,10 @@ from typing import Any
 
 import numpy as np
 
+from lab.campaign import Summary, reports_of
+from lab.faults.faults import NODES, Mix
+from lab.trial import Trial
 from tapping_cell.messages import TapCommand
-from tapping_cell.verification.campaign import Summary, reports_of
-from tapping_cell.verification.faults import NODES, Mix
-from tapping_cell.verification.trial import Trial
 
 DEFAULT_COUNT = 1000
 """Minimum number of freezes of each node. The minimum number of all kills, restarts and stops of a
@@ -121,7 +121,7 @@ class _Waits:
     def _withdrawn(self, tap_id: int) -> None:
         for release in self.trial.physical.releases[-1:]:
             if release.shot == tap_id and not self._moving:
-                speed = self.trial.checker.commands[tap_id].striker_speed
+                speed = self.trial.oracle.commands[tap_id].striker_speed
                 struck = release.time + self.trial.physical.flight(speed)
                 self._free_at = max(struck, self.trial.scheduler.now)
 

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 from sliding_reference import disk_force_and_torque
 
-from tapping_cell.mechanics import Disk, Impact, Polygon, Sliding, Striker, Tap
+from tapping_cell.mechanics import Disk, Polygon, Sliding
 from tapping_cell.mechanics.slide_table import SlideTable
 
 _DISK = Disk(radius=0.048, mass=0.2455, height=0.012)
@@ -23,9 +23,7 @@ _FRICTION = 0.17
 _GRAVITY = 9.81
 _KAPPA = 3.64
 _MANY = 1_000_000
-_ONE = 20_000
 _POLYGONS = 2_000
-_TAPS = 100_000
 _LAUNCHES = 12
 _MUJOCO_LAUNCHES = 4
 _MUJOCO_FEET = 61
@@ -41,8 +39,6 @@ def measure() -> dict:
     report = {
         "table_build_s": _best(lambda: SlideTable("disk", _KAPPA * _DISK.gamma), 5),
         **_rates(sliding),
-        **_tap_rates(sliding),
-        "polygon_per_s": _polygon_rate(),
         **_polygon_table_rates(),
     }
     report["solve_ivp"] = _against_solve_ivp(sliding, report["forward_per_s"])
@@ -55,15 +51,9 @@ def lines(report: dict) -> list[str]:
     peer = report["solve_ivp"]
     text = [
         f"table for a new shape and torque factor: {1e3 * report['table_build_s']:.1f} ms",
-        f"forward: {report['forward_per_s']:.3g} taps/s in a million, "
-        f"{1e6 * report['forward_one_s']:.2f} us for one",
-        f"inverse: {report['inverse_per_s']:.3g} taps/s in a million, "
-        f"{1e6 * report['inverse_one_s']:.2f} us for one; round trip to "
-        f"{report['round_trip_error']:.1e}",
+        f"forward: {report['forward_per_s']:.3g} taps/s; inverse: "
+        f"{report['inverse_per_s']:.3g} taps/s; round trip to {report['round_trip_error']:.1e}",
         f"forward error: {peer['table_error']:.1e} of distance and rotation",
-        f"whole taps: plan {report['plan_per_s']:.3g} taps/s, outcome "
-        f"{report['outcome_per_s']:.3g} taps/s",
-        f"polygon (no table): {report['polygon_per_s']:.3g} taps/s",
         f"polygon by its table: {report['polygon_table_per_s']:.3g} slides/s of processor time, "
         f"error {report['polygon_table_error']:.1e}, made in "
         f"{report['polygon_table_build_s']:.1f} s",
@@ -99,47 +89,14 @@ def _rates(sliding: Sliding) -> dict:
     spin = generator.uniform(-20.0, 20.0, _MANY)
     distance, rotation, _ = sliding.rest(speed, spin)
 
-    def ones(call: Callable[[float, float], object], a: float, b: float) -> Callable[[], None]:
-        def task() -> None:
-            for _ in range(_ONE):
-                call(a, b)
-
-        return task
-
     back = sliding.rest(*sliding.launch(distance, rotation))
     return {
         "forward_per_s": _MANY / _best(lambda: sliding.rest(speed, spin), 5),
         "inverse_per_s": _MANY / _best(lambda: sliding.launch(distance, rotation), 5),
-        "forward_one_s": _best(ones(sliding.rest, 0.18, 1.36), 3) / _ONE,
-        "inverse_one_s": _best(ones(sliding.launch, 0.01, 0.05), 3) / _ONE,
         "round_trip_error": float(
             max(np.abs(back[0] / distance - 1).max(), np.abs(back[1] / rotation - 1).max())
         ),
     }
-
-
-def _tap_rates(sliding: Sliding) -> dict:
-    tap = Tap(sliding, Impact(_DISK, Striker(0.05, 0.0054), restitution=0.86, friction=0.20))
-    generator = np.random.default_rng(5)
-    distance, direction = generator.uniform(0.002, 0.1, _TAPS), generator.uniform(-3, 3, _TAPS)
-    rotation = generator.uniform(-1, 1, _TAPS) * tap.cone_slope * distance
-    wanted = np.stack(
-        [distance * np.cos(direction), distance * np.sin(direction), rotation], axis=1
-    )
-    plan = tap.plan(wanted)
-    poses, speeds = plan.strike_pose, plan.striker_speed
-    return {
-        "plan_per_s": _TAPS / _best(lambda: tap.plan(wanted), 2),
-        "outcome_per_s": _TAPS / _best(lambda: tap.outcome((0, 0, 0), poses, speeds), 3),
-    }
-
-
-def _polygon_rate() -> float:
-    side = 0.04
-    square = Polygon([(-side, -side), (side, -side), (side, side), (-side, side)], 0.2, 0.01)
-    sliding = Sliding(square, _FRICTION, _KAPPA, _GRAVITY)
-    twist = np.random.default_rng(2).uniform(-1, 1, (_POLYGONS, 3)) * [0.3, 0.3, 3.0]
-    return _POLYGONS / _best(lambda: sliding.displace(twist), 2)
 
 
 def _polygon_table_rates() -> dict[str, float]:

@@ -1,9 +1,8 @@
-"""Simulated computers: network namespaces connected by a link with optional delay and packet loss.
+"""Simulated computers: network namespaces connected by a link with delay and packet loss.
 
 The module needs root rights and the programs ``unshare``, ``nsenter`` and ``ip``; :func:`why_not`
-returns what is missing. Without simulated delay and loss, a veth pair connects two computers at the
-kernel's speed. Otherwise every packet passes through this module's relay. The relay is a switch
-between TAP devices and forwards about a thousand packets per second.
+returns what is missing. Every packet passes through this module's relay, a switch between TAP
+devices that forwards about a thousand packets per second.
 """
 
 from __future__ import annotations
@@ -99,17 +98,9 @@ class Computer:
 
 
 @contextlib.contextmanager
-def computers(
-    names: Sequence[str], delay: float = 0.0, loss: float = 0.0
-) -> Iterator[list[Computer]]:
+def computers(names: Sequence[str], delay: float, loss: float) -> Iterator[list[Computer]]:
     """Create computers on one network. ``delay``: delay of each packet, in s; ``loss``: share of
-    lost packets.
-
-    Raises:
-        ValueError: more than two computers are requested without delay and loss.
-    """
-    if not (delay or loss) and len(names) != 2:
-        raise ValueError("a link without delay and loss connects exactly two computers")
+    lost packets."""
     with contextlib.ExitStack() as stack:
         made = []
         for number, name in enumerate(names, start=1):
@@ -117,12 +108,7 @@ def computers(
             stack.callback(computer.close)
             made.append(computer)
         ends = [f"tc{os.getpid()}x{number}" for number in range(len(made))]
-        if delay or loss:
-            stack.enter_context(_relay(made, ends, delay, loss))
-        else:
-            _ip("link", "add", ends[0], "type", "veth", "peer", "name", ends[1])
-            for computer, end in zip(made, ends, strict=True):
-                computer.plug_in(end)
+        stack.enter_context(_relay(made, ends, delay, loss))
         yield made
 
 

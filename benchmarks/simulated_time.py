@@ -10,8 +10,8 @@ import time
 from collections.abc import Iterator
 from typing import Any
 
-from tapping_cell.cli.goal_faults import as_json_object
-from tapping_cell.verification.campaign import Summary, reports_of, seeds_of
+from lab.campaign import Summary, reports_of, seeds_of
+from lab.goal_faults import as_json_object
 
 DEFAULT_COUNT = 2000
 """Number of goals."""

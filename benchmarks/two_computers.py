@@ -1,9 +1,7 @@
-"""Images between two computers, and goals in a cell of three computers whose clocks differ.
+"""Goals in a cell of three computers whose clocks differ, over a link with delay and packet loss.
 
-The computers are network namespaces of this machine (``benchmarks.networks``). Images are sent
-within one computer and over a link without loss. Goals use a link with 20 ms delay and 1 % packet
-loss; camera and vision run on one computer, the drivers on the second, and planner and recorder on
-the third.
+The computers are network namespaces of this machine (``benchmarks.networks``). Camera and vision
+run on one computer, the drivers on the second, and planner and recorder on the third.
 """
 
 from __future__ import annotations
@@ -25,10 +23,6 @@ from tapping_cell.nodes import MODULES
 
 DEFAULT_COUNT = 10
 """Number of goals."""
-PICTURES = 600
-"""Number of images per transport. Sending them takes 20 s."""
-RATE_HZ = 30.0
-SIZE = (1024, 1280)
 DELAY_S, LOSS = 0.020, 0.01
 PLACES = {
     "vision": ("sim_world", "camera_pose"),
@@ -44,22 +38,15 @@ REFUSED_S = {
 """Offsets of the computers' clocks, in s. The name of each entry is the computer whose clock is too
 far ahead. A goal must be refused before its first tap, and the refusal must name this computer."""
 TIMEOUT_S = 120.0
-SETTLE_S = 3.0
 
 
 def measure(count: int) -> dict[str, Any]:
-    """Return the sent and the received images by transport, and the results of the goals."""
+    """Return the results of the goals, and of those that must be refused."""
     reason = why_not()
     if reason:
         raise OSError(f"this section needs network namespaces: {reason}")
     own = {"ROS_DOMAIN_ID": str(own_domain().number)}
-    report: dict[str, Any] = {"pictures": {}, "load": os.getloadavg()[0]}
-    for transport in ("raw", "compressed"):
-        with computers(("camera", "vision")) as (first, second):
-            report["pictures"][f"{transport}, one host"] = _pictures(first, first, transport, own)
-            report["pictures"][f"{transport}, clean link"] = _pictures(
-                first, second, transport, own
-            )
+    report: dict[str, Any] = {"load": os.getloadavg()[0]}
     with tempfile.TemporaryDirectory() as folder, cell(Path(folder), own) as desk:
         report["goals"] = goals(desk, own, count)
     report["refused"] = {}
@@ -71,17 +58,12 @@ def measure(count: int) -> dict[str, Any]:
 
 def lines(report: dict[str, Any]) -> list[str]:
     """Format the report as lines of text."""
-    made = [
-        f"pictures {name}: {entry['arrived']} of {entry['sent']} arrived, median "
-        f"{entry['median_ms']:.1f} ms"
-        for name, entry in report["pictures"].items()
-    ]
     ends = report["goals"]
     reached = [end for end in ends if end["error_code"] == 0]
-    made.append(
+    made = [
         f"goals over {1000 * DELAY_S:.0f} ms and {100 * LOSS:.0f} % loss, clocks "
         f"{max(CLOCKS_S.values()):.1f} s apart: {len(reached)} of {len(ends)} reached"
-    )
+    ]
     for end in ends:
         made.append(
             f"  {end['taps']} taps, {end['seconds']:.0f} s, truly {end['true_mm']:.2f} mm off "
@@ -93,21 +75,6 @@ def lines(report: dict[str, Any]) -> list[str]:
         for name, end in report["refused"].items()
     ]
     return made
-
-
-def _pictures(
-    source: Computer, sink: Computer, transport: str, own: Mapping[str, str]
-) -> dict[str, Any]:
-    role = [sys.executable, "-m", "benchmarks.two_computers"]
-    reader = sink.start([*role, "reader", transport], own, stdout=subprocess.PIPE)
-    writer = source.start([*role, "writer", transport], own)
-    try:
-        output, _ = reader.communicate(timeout=TIMEOUT_S)
-        return dict(json.loads(output))
-    finally:
-        for process in (reader, writer):
-            process.kill()
-            process.wait()
 
 
 @contextlib.contextmanager
@@ -148,7 +115,7 @@ def cell(
 
 def goals(desk: Computer, own: Mapping[str, str], count: int) -> list[dict[str, Any]]:
     """Send goals one after the other from ``desk`` and return the true result of each goal."""
-    words = [sys.executable, "-m", "benchmarks.two_computers", "goals", str(count)]
+    words = [sys.executable, "-m", "benchmarks.two_computers", str(count)]
     client = desk.start(words, own, stdout=subprocess.PIPE)
     try:
         output, _ = client.communicate(timeout=TIMEOUT_S * (count + 1))
@@ -158,68 +125,7 @@ def goals(desk: Computer, own: Mapping[str, str], count: int) -> list[dict[str, 
     return [json.loads(line) for line in output.splitlines()]
 
 
-# The following code runs on the simulated computers.
-
-
-def _write(transport: str) -> None:
-    import numpy as np
-    import rclpy
-    from sensor_msgs.msg import CameraInfo
-
-    from tapping_cell.nodes.camera import images
-    from tapping_cell.nodes.camera.picture_publisher import PicturePublisher
-    from tapping_cell.nodes.cell_node import choose_transport
-
-    choose_transport(pictures=True)
-    rclpy.init()
-    node = rclpy.create_node("writer")
-    publisher = PicturePublisher(node, 95)
-    noise = np.random.default_rng(1).normal(128, 2, SIZE).astype(np.uint8)
-    while not publisher.subscribers():
-        time.sleep(0.05)
-    time.sleep(SETTLE_S)
-    due = time.monotonic()
-    for number in range(PICTURES):
-        picture = images.to_message(np.roll(noise, number), "mono8")
-        picture.header.frame_id = str(number)
-        picture.header.stamp = node.get_clock().now().to_msg()
-        publisher.publish(picture, CameraInfo())
-        due += 1.0 / RATE_HZ
-        time.sleep(max(0.0, due - time.monotonic()))
-    # Keep running, so that lost data can be sent again. The reader ends earlier.
-    time.sleep(TIMEOUT_S)
-
-
-def _read(transport: str) -> None:
-    import rclpy
-    from sensor_msgs.msg import CompressedImage, Image
-
-    from tapping_cell.nodes.camera import images
-    from tapping_cell.nodes.cell_node import choose_transport
-
-    choose_transport(pictures=True)
-    rclpy.init()
-    node = rclpy.create_node("reader")
-    delays: list[float] = []
-
-    def on_message(message: Image | CompressedImage) -> None:
-        now = node.get_clock().now().nanoseconds
-        stamp = message.header.stamp
-        delays.append(1e-6 * (now - stamp.sec * 1_000_000_000 - stamp.nanosec))
-
-    if transport == "raw":
-        node.create_subscription(Image, images.RAW, on_message, images.PICTURES)
-    else:
-        node.create_subscription(
-            CompressedImage, images.COMPRESSED, on_message, images.COMPRESSED_PICTURES
-        )
-    last, received = time.monotonic(), 0
-    while not delays or time.monotonic() - last < SETTLE_S:
-        rclpy.spin_once(node, timeout_sec=0.1)
-        if len(delays) != received:
-            last, received = time.monotonic(), len(delays)
-    median = sorted(delays)[len(delays) // 2]
-    print(json.dumps({"sent": PICTURES, "arrived": len(delays), "median_ms": median}))
+# The following code runs on the desk computer.
 
 
 def _send_goals(count: int) -> None:
@@ -258,9 +164,4 @@ def _send_goals(count: int) -> None:
 
 
 if __name__ == "__main__":
-    role, argument = sys.argv[1:]
-    {
-        "writer": _write,
-        "reader": _read,
-        "goals": lambda text: _send_goals(int(text)),
-    }[role](argument)
+    _send_goals(int(sys.argv[1]))

@@ -27,14 +27,12 @@ from tapping_cell.vision.markers import aruco
 from tapping_cell.vision.markers.detection import UNIT_CORNERS, find_markers, marker_pattern
 from tapping_cell.vision.markers.edges import refine
 from tapping_cell.vision.markers.object_pose import fit_marker, pose_of_corners
-from tapping_cell.vision.markers.photometric import align, make_template
 
 DEFAULT_COUNT = 60
 FRAMES = 30
 """Number of frames of a stationary object for measuring the tracker's time."""
 MARGIN = 40
 """Margin around the marker for a search near the last pose, in pixels."""
-USUAL_BLUR = 0.65
 Pose = np.ndarray | None
 
 
@@ -115,9 +113,7 @@ def _methods(
 ) -> dict[str, Callable[[np.ndarray, np.ndarray], Pose]]:
     """Return functions by name. Each one measures the pose in an image. Its second argument is the
     true pose; functions that search only near a predicted pose derive the prediction from it."""
-    pixel = float(view.pose.translation[2]) / view.camera.fx
     modules = marker_pattern(marker.dictionary, marker.id).shape[0]
-    template = make_template(marker, pixel, USUAL_BLUR * pixel)
 
     def quad(true: np.ndarray) -> np.ndarray:
         return view.project(transform_points(true, UNIT_CORNERS * marker.size), marker.height)
@@ -141,11 +137,6 @@ def _methods(
         # stationary or if its motion was predicted well.
         return by_edges(image, quad(true + np.array([2e-5, -2e-5, 2e-4])))
 
-    def photometric(image: np.ndarray, true: np.ndarray) -> Pose:
-        start = settled(image, true)
-        aligned = None if start is None else align(image, view, template, marker, start)
-        return None if aligned is None else aligned.pose
-
     def full(image: np.ndarray, true: np.ndarray) -> Pose:
         found = [d for d in find_markers(image, marker.dictionary) if d.id == marker.id]
         return by_edges(image, found[0].corners) if found else None
@@ -153,7 +144,6 @@ def _methods(
     methods = {
         "tracking at rest, edges": settled,
         "tracking, a pixel away": tracking,
-        "at rest, photometric": photometric,
         "full search, edges": full,
         "cv2.aruco subpix, region": _aruco(view, marker, cv2.aruco.CORNER_REFINE_SUBPIX, region),
         "cv2.aruco contour, region": _aruco(view, marker, cv2.aruco.CORNER_REFINE_CONTOUR, region),

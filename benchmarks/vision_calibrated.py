@@ -9,7 +9,6 @@ and with the exact calibration.
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from typing import Any
 
 import cv2
@@ -21,6 +20,7 @@ from benchmarks.vision_scenes import (
     random_place,
     random_scene,
     score_lines,
+    with_deviations,
 )
 from tapping_cell.calibration.camera import CameraCalibration, calibrate_camera
 from tapping_cell.calibration.target import Target, TargetView, find_target
@@ -52,7 +52,7 @@ def measure(count: int) -> dict[str, Any]:
             scene = random_scene(random, cell, seed=number)
             calibration = calibrated(random, cell.camera)
             calibrations.append(calibration)
-            camera = replace(calibration.model, deviations=_stated(calibration))
+            camera = with_deviations(calibration)
         assert scene is not None
         true = random_place(random)
         trackers = [PoseTracker(c, cell.table, cell.marker) for c in (camera, cell.camera)]
@@ -100,12 +100,6 @@ def calibrated(random: np.random.Generator, camera: CameraModel) -> CameraCalibr
         if isinstance(found, TargetView):
             views.append(found)
     return calibrate_camera(views, TARGET, (camera.width, camera.height))
-
-
-def _stated(calibration: CameraCalibration) -> tuple[float, ...]:
-    """Return the standard deviations in the calibration file."""
-    names = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2")
-    return tuple(calibration.deviations.get(name, 0.0) for name in names)
 
 
 def _board() -> np.ndarray:

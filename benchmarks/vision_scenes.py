@@ -11,6 +11,7 @@ from typing import Any
 import cv2
 import numpy as np
 
+from tapping_cell.calibration.camera import CameraCalibration
 from tapping_cell.configuration.cell import load_cell
 from tapping_cell.se2 import wrap_angle
 from tapping_cell.simulation.rendered_camera import SceneRenderer, SceneSettings
@@ -94,6 +95,13 @@ def miscalibrated(
         moved = replace(marker, x=marker.x + x, y=marker.y + y)
         markers.append(replace(moved, theta=marker.theta + 0.5 * turn / arm))
     return camera, ReferenceMap(cell.table.dictionary, tuple(markers))
+
+
+def with_deviations(calibration: CameraCalibration) -> CameraModel:
+    """Return the calibrated camera with the standard deviations in the calibration file."""
+    names = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2")
+    stated = tuple(calibration.deviations.get(name, 0.0) for name in names)
+    return replace(calibration.model, deviations=stated)
 
 
 def error_of(observation: Observation, true: np.ndarray) -> np.ndarray:

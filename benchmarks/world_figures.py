@@ -38,7 +38,9 @@ _PICTURES_S = 1 / 60
 def main(arguments: Sequence[str] | None = None) -> int:
     """Write the figure and return exit code 0."""
     parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.world_figures", description=__doc__.splitlines()[0]
+        allow_abbrev=False,
+        prog="python -m benchmarks.world_figures",
+        description=__doc__.splitlines()[0],
     )
     parser.add_argument("--output", type=Path, default=FILE, help=f"default: {FILE}")
     output = parser.parse_args(arguments).output

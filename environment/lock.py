@@ -21,6 +21,18 @@ HEADER = """\
 # Exact versions and hashes of everything in .venv, made by `make lock` from
 # environment/requirements.in. It is complete: nothing else is installed for what packages need.
 """
+# Packages that others name as needed, but that neither the build, the tests nor the cell import.
+UNUSED = (
+    # linters of ament, which a build without its tests does not call
+    *(
+        f"ros-ament-cmake-{name}"
+        for name in ("cppcheck", "cpplint", "flake8", "pep257", "uncrustify")
+    ),
+    # options of `colcon test`, and the search for pkg-config files
+    *("colcon-pkg-config", "coverage", "pytest-cov", "pytest-repeat", "pytest-rerunfailures"),
+    "docutils",  # catkin-pkg parses changelogs with it
+    "zstandard",  # mcap decompresses bags of others with it
+)
 
 
 def main() -> int:
@@ -34,6 +46,7 @@ def main() -> int:
         compile_all += ["--python-version", "3.10"]
         compile_all += ["--generate-hashes", "--no-annotate", "--no-header", "--system-certs"]
         compile_all += ["--no-python-downloads", "--output-file", str(made)]
+        compile_all += [f"--no-emit-package={name}" for name in UNUSED]
         subprocess.run([*compile_all, str(HERE / "requirements.in")], check=True)
         LOCK.write_text(HEADER + made.read_text())
     return 0

@@ -1,4 +1,4 @@
-"""Write the reference pages of docs/ that are made from the code.
+"""Write the reference pages of docs/ and the list of options that are made from the code.
 
     python environment/reference_pages.py        (or: make reference)
 
@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import inspect
+import json
 import types
 import typing
 from collections.abc import Callable, Iterator, Mapping
@@ -23,6 +24,8 @@ from tapping_cell.configuration.cell import CellFile
 from tapping_cell.configuration.objects import ObjectFile
 from tapping_cell.configuration.table import TableFile
 from tapping_cell.report import error_codes
+from tapping_cell.report.columns import declared
+from tapping_cell.report.run import TapRow
 from tapping_cell.simulation.truth import TruthFile
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
@@ -61,6 +64,16 @@ and a message with the value and the limit. The command line, the report of a ru
 page also show the remedy.
 
 `make reference` writes this page from `msg_defs/msg/ErrorCode.msg`.
+"""
+_TAPS = """# taps.csv
+
+One row a tap. Each name ends with its unit; poses are in the frame `table`, and unknown values are
+`nan`. Times are in s since the start of the run. Files of earlier versions may lack columns.
+
+`make reference` writes this page from `report/run.py`.
+
+| columns | meaning |
+| --- | --- |
 """
 _HUNDREDS = {
     1: "goals and commands",
@@ -127,6 +140,25 @@ def _text(words: str | None) -> str:
     return (words or "").replace("%%", "%").replace("|", "\\|")
 
 
+def options_file() -> str:
+    """Return the file with the options of each verb and the choices of each option, in which
+    ``python -m tapping_cell`` finds a typo without loading the verb."""
+    known: dict[str, dict[str, list[str] | None]] = {}
+    for verb in VERBS:
+        parsers = [(verb, verb_parser(verb)[0])]
+        for name, parser in parsers:
+            own = known.setdefault(name, {})
+            for action in parser._actions:
+                if isinstance(action, argparse._SubParsersAction):
+                    parsers += [(f"{verb} {sub}", one) for sub, one in action.choices.items()]
+                    continue
+                single = action.nargs is None and action.type is None
+                choices = [str(each) for each in action.choices or ()] if single else None
+                own |= {option: choices or None for option in action.option_strings}
+    lines = (f" {json.dumps(verb)}: {json.dumps(own)}" for verb, own in known.items())
+    return "{\n" + ",\n".join(lines) + "\n}\n"
+
+
 def error_codes_page() -> str:
     """Return the page on all error codes, with symptom, cause and remedy."""
     parts = [_ERROR_CODES]
@@ -154,6 +186,10 @@ radians. Unknown keys, missing keys, wrong types and values out of range are ref
 that names file, key, value and range. `python -m tapping_cell check-config` checks all files, and
 the consistency between them, without starting any node. The files in [config/](../../config) are
 complete examples. [nodes.md](../nodes.md) lists the ROS parameters of the nodes.
+
+Plain values follow YAML 1.2: numbers are decimal, and `yes` or `on` is a text. Notations that some
+programs read as another number (`011`, `0x1F`, `1_000`, `1:30`) are refused with their line, as are
+values that contradict each other or physics.
 
 ![Dimensions of the arm and the striker](../images/arm_dimensions.svg)
 
@@ -262,10 +298,26 @@ def _escaped(words: str) -> str:
     return words.replace("|", "\\|")
 
 
+def taps_page() -> str:
+    """Return the page on the columns of ``taps.csv``, generated from ``TapRow``."""
+    return _TAPS + "".join(_columns_of(TapRow))
+
+
+def _columns_of(kind: type) -> Iterator[str]:
+    for each, columns in declared(kind):
+        if dataclasses.is_dataclass(each.default_factory):
+            yield from _columns_of(typing.cast(type, each.default_factory))
+        else:
+            headers = ", ".join(f"`{column.header}`" for column in columns.columns)
+            yield f"| {headers} | {columns.meaning} |\n"
+
+
 PAGES: dict[Path, Callable[[], str]] = {
     DOCS / "commands.md": commands_page,
     DOCS / "reference" / "configuration.md": configuration_page,
     DOCS / "error_codes.md": error_codes_page,
+    DOCS / "reference" / "taps.md": taps_page,
+    DOCS.parent / "tapping_cell" / "cli" / "options.json": options_file,
 }
 
 

@@ -17,7 +17,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -27,7 +27,7 @@ INSTALL = ROOT / "install"
 LOG = ROOT / "log"
 LOCK = ROOT / "requirements.lock"
 
-RECIPE = 1  # increase it after a change of the stages, so that they are built again
+RECIPE = 2  # increase it after a change of the stages, so that they are built again
 PYTHON_VERSIONS = ((3, 10), (3, 13))  # first and last version with ROS 2 Jazzy wheels
 DISK_FOR_VENV = 2.0e9  # bytes; .venv needs 0.7e9, its downloads and the build need the rest
 DISK_FOR_BUILD = 0.2e9  # bytes; the messages need 0.03e9
@@ -43,6 +43,8 @@ SOURCE_DISTRIBUTIONS = ("empy",)
 # With ROS 2 from apt, these packages also come from apt, because the compiled messages of this ROS
 # need the version of numpy from apt.
 FROM_APT = ("ros-", "colcon-", "numpy", "empy", "lark-parser", "catkin-pkg", "setuptools")
+# The build needs these packages. The other packages are installed while the messages are built.
+BUILD_TOOLS = (*FROM_APT, "distlib", "packaging", "pyparsing", "python-dateutil", "six")
 # Variables that would make pip, CMake or colcon use another environment or another make.
 FOREIGN_VARIABLES = re.compile(
     r"PYTHON(HOME|STARTUP)|PIP_(USER|TARGET|PREFIX|REQUIREMENT|CONSTRAINT|NO_DEPS)|COLCON_.*"
@@ -241,6 +243,17 @@ def build_environment(outside: Mapping[str, str], sourced: bool) -> dict[str, st
 
 def run(words: list[str], log: Path, failure: str) -> None:
     """Run a program with its output in ``log``; raise `SetUpError` with the cause if it fails."""
+    with beside(words, log, failure):
+        pass
+
+
+@contextmanager
+def beside(words: list[str], log: Path, failure: str) -> Iterator[None]:
+    """Run a program in parallel with the block, and wait for its end after the block.
+
+    Its output is written to ``log``. Raise `SetUpError` with the cause if it fails. If the block
+    fails, the program is terminated.
+    """
     log.parent.mkdir(exist_ok=True)
     # The program inherits the lock (see `locked`). If this process is killed, the next set-up
     # therefore also waits until the program has ended.
@@ -256,6 +269,11 @@ def run(words: list[str], log: Path, failure: str) -> None:
             close_fds=False,
         ) as process,
     ):
+        try:
+            yield
+        except BaseException:
+            process.terminate()
+            raise
         waited = 0
         while True:
             try:
@@ -322,8 +340,23 @@ def pinned(lock: str, sourced: bool) -> list[str]:
     return [line for line in lines if not (sourced and line.startswith(FROM_APT))]
 
 
-def make_venv(stamp: Path, wanted: str) -> None:
-    """Create .venv and install the packages of the lock."""
+def pip_install(name: str, lines: list[str], *options: str) -> list[str]:
+    """Return the command that installs the requirements in ``lines`` into .venv."""
+    wanted = VENV / f"{name}.txt"
+    wanted.write_text("\n".join(lines))
+    install = [str(VENV / "bin" / "python"), "-m", "pip", "install", "--no-input", "--no-deps"]
+    install += ["--progress-bar", "off", "--no-warn-script-location", "--retries", "2"]
+    # Most of these files are never imported. `compile_imported` compiles the others.
+    return [*install, "--require-hashes", "--no-compile", *options, "-r", str(wanted)]
+
+
+@contextmanager
+def making_venv(stamp: Path, wanted: str) -> Iterator[None]:
+    """Create .venv and install the packages of the lock.
+
+    The block begins as soon as the packages that the build needs are installed. pip waits for the
+    package index most of the time, so three calls of pip run in parallel.
+    """
     sourced = ros_sourced()
     require_disk(DISK_FOR_VENV)
     if not sourced:
@@ -335,29 +368,29 @@ def make_venv(stamp: Path, wanted: str) -> None:
         report(f"making .venv again for Python {version}: it was unfinished or is out of date")
         shutil.rmtree(VENV)
     lines = pinned(LOCK.read_text(), sourced)
-    report(f"installing {len(lines)} packages for Python {version} into .venv (about a minute)")
+    report(f"installing {len(lines)} packages for Python {version} into .venv")
     site = ["--system-site-packages"] if sourced else []
     venv = [str(python), "-I", "-m", "venv", *site, str(VENV)]
     run(venv, LOG / "venv.log", "making .venv failed")
 
-    install = [str(VENV / "bin" / "python"), "-m", "pip", "install", "--no-input", "--no-deps"]
-    install += ["--progress-bar", "off", "--no-warn-script-location", "--retries", "2"]
-    # Most of these files are never imported. `compile_imported` compiles the others.
-    install += ["--require-hashes", "--no-compile"]
-    from_source = [line for line in lines if line.startswith(SOURCE_DISTRIBUTIONS)]
-    wheels = [line for line in lines if line not in from_source]
-    # The wheels contain setuptools, which builds the source distributions.
-    for name, part, how in (
-        ("wheels", wheels, ["--only-binary", ":all:"]),
-        ("sources", from_source, ["--no-build-isolation", "--use-pep517"]),
-    ):
-        if part:
-            wanted_here = VENV / f"{name}.txt"
-            wanted_here.write_text("\n".join(part))
-            log = LOG / f"pip_{name}.log"
-            run([*install, *how, "-r", str(wanted_here)], log, "installing packages failed")
-    if not sourced:
-        repair_exports(VENV)
+    sources = [line for line in lines if line.startswith(SOURCE_DISTRIBUTIONS)]
+    wheels = [line for line in lines if line not in sources]
+    tools = [line for line in wheels if line.startswith(BUILD_TOOLS)]
+    others = [line for line in wheels if line not in tools]
+
+    def installed(name: str, part: list[str]) -> AbstractContextManager[None]:
+        words = pip_install(name, part, "--only-binary", ":all:")
+        return beside(words, LOG / f"pip_{name}.log", "installing packages failed")
+
+    with installed("others", others):
+        with installed("tools_1", tools[::2]), installed("tools_2", tools[1::2]):
+            pass
+        if sources:  # built with the setuptools of the lock
+            words = pip_install("sources", sources, "--no-build-isolation", "--use-pep517")
+            run(words, LOG / "pip_sources.log", "installing packages failed")
+        if not sourced:
+            repair_exports(VENV)
+        yield
     write_stamp(stamp, wanted)
 
 
@@ -397,6 +430,8 @@ def build(packages: list[str], message: str) -> None:
     colcon = "import sys; from colcon_core.command import main; sys.exit(main())"
     options = ["--base-paths", ".", "msg_defs", "--symlink-install", "--packages-select", *packages]
     cmake = ["--cmake-args", f"-DPython3_EXECUTABLE={python}", "-DBUILD_TESTING=OFF"]
+    if not ros_sourced():
+        cmake.append("-DPYTHON_AND_FAST_DDS_ONLY=ON")  # the wheels contain nothing else
     run(
         [str(python), "-c", colcon, "build", *options, *cmake],
         LOG / "colcon.log",
@@ -459,15 +494,17 @@ def set_up() -> None:
     require_python(sys.version_info[:2])
     started = time.monotonic()
     with locked():
-        if not is_made(*stages[0]):
-            make_venv(*stages[0])
+        with nullcontext() if is_made(*stages[0]) else making_venv(*stages[0]):
+            if not is_made(*stages[1]):
+                build(
+                    ["tapping_cell_msgs", "tapping_cell"], "building the messages and the package"
+                )
+            elif not is_made(*stages[2]):
+                build(["tapping_cell"], "building the package")
+                write_stamp(*stages[2])
         if not is_made(*stages[1]):
-            build(["tapping_cell_msgs", "tapping_cell"], "building the messages and the package")
             compile_imported()
             write_stamp(*stages[1])
-            write_stamp(*stages[2])
-        elif not is_made(*stages[2]):
-            build(["tapping_cell"], "building the package")
             write_stamp(*stages[2])
     report(f"set up in {time.monotonic() - started:.0f} s")
 

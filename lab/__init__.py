@@ -1,1 +1,4 @@
-"""Laboratory of the cell: faults in virtual time, invariants and mutation tests; not installed."""
+"""The laboratory: the cell in virtual time under faults, an oracle, and mutation of the logic.
+
+It proves the product and is not part of it: nothing in ``tapping_cell`` imports it.
+"""

@@ -8,7 +8,7 @@ them.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -112,3 +112,16 @@ def transform_points(pose: ArrayLike, points: ArrayLike) -> Array:
         ],
         axis=-1,
     )
+
+
+def from_message(message: Any) -> Pose:
+    """Return the planar part of a pose message, of ROS, of a bag or of the package ``messages``."""
+    q = message.orientation
+    theta = math.atan2(2 * (q.w * q.z + q.x * q.y), 1 - 2 * (q.y * q.y + q.z * q.z))
+    return Pose(float(message.position.x), float(message.position.y), theta)
+
+
+def is_finite(message: Any) -> bool:
+    """Return whether every number of a pose message is finite."""
+    p, q = message.position, message.orientation
+    return all(math.isfinite(value) for value in (p.x, p.y, p.z, q.x, q.y, q.z, q.w))

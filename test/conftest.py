@@ -11,9 +11,17 @@ from hypothesis import HealthCheck, settings
 
 from tapping_cell.cli.graph import own_domain
 
-# The duration of an example depends mainly on the load of the machine, so it is not limited.
-settings.register_profile("patient", deadline=None, suppress_health_check=[HealthCheck.too_slow])
-settings.load_profile("patient")
+# The duration of an example depends mainly on the load of the machine, so it is not limited. A push
+# tries a few examples of each property, a campaign many. A test with slow examples tries a fixed
+# share of `settings.default.max_examples`.
+for profile, examples in (("default", 25), ("campaign", 1000)):
+    settings.register_profile(
+        profile,
+        max_examples=examples,
+        deadline=None,
+        suppress_health_check=[HealthCheck.too_slow],
+    )
+settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "default"))
 
 # ROS_DOMAIN_ID of the caller's shell may be that of a real cell, so it is ignored. Each process
 # (also each worker of pytest-xdist) reserves a domain of its own until it ends.

@@ -112,7 +112,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def campaign(goals: int, seed: int) -> str:
     """Run goals in virtual time until a violation; return its name, or ""."""
-    from tapping_cell.verification.campaign import run_campaign
+    from lab.campaign import run_campaign
 
     summary = run_campaign(goals, seed, jobs=1, stop_at_violation=True)
     return summary.violations[0][1].name if summary.violations else ""

@@ -3,7 +3,8 @@
 The method is Zhang's (A flexible new technique for camera calibration, PAMI 22, 2000), as
 implemented in OpenCV. In addition, unsuitable views are rejected with their name and the reason, a
 set of views that does not determine the focal length is refused, and the lens model is chosen by
-cross-validation.
+its predicted projection error over the whole image, also where no view shows the target (as in
+mrcal, https://mrcal.secretsauce.net/uncertainty.html).
 """
 
 from __future__ import annotations
@@ -18,7 +19,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from tapping_cell.calibration.camera_views import Rejected, coverage, screen, uncovered_regions
+from tapping_cell.calibration.camera_views import (
+    GRID,
+    Rejected,
+    coverage,
+    screen,
+    uncovered_regions,
+)
 from tapping_cell.calibration.target import Target, TargetView
 from tapping_cell.se2 import Array
 from tapping_cell.vision.camera import CameraError, CameraModel
@@ -33,8 +40,16 @@ _OUTLIER_RATIO, _OUTLIER_PIXELS = 3.0, 0.4
 """A view is an outlier if its error exceeds both this multiple of the median error and this number
 of pixels."""
 _CORNER_RATIO, _CORNER_PIXELS = 6.0, 0.4
-_HIGH_RMS = 0.5
-_FOLDS = 4
+_HIGH_RMS, _MAX_RMS = 0.5, 1.0
+"""Root mean square reprojection error, in pixels, above which a warning is given, and above which
+the calibration is refused: the lens model or the target does not describe the photographs."""
+_WIDE = 0.5
+"""A fisheye model that reduces the error of a refused calibration to this fraction explains it."""
+_BETTER = 0.7
+"""Fraction to which a more complex lens model must reduce the predicted projection error. Without
+this limit, coefficients that the views hardly determine are chosen for a gain of 1 %."""
+_HIGH_PREDICTED = 1.0
+"""Predicted projection error, in pixels, above which a warning is given."""
 _SUBSETS = 30
 
 
@@ -79,19 +94,21 @@ class CameraCalibration:
 
     ``rms`` is the root mean square reprojection error in pixels. ``deviations`` are the standard
     deviations of the parameters (in pixels; those of distortion coefficients have no unit).
-    ``held_out`` contains the cross-validation error of each lens model in pixels. ``coverage``
-    (rows, columns) counts the views with corners in each part of the image. ``warnings`` are for
-    the user.
+    ``predicted`` contains the predicted projection error of each lens model in pixels, root mean
+    square over the whole image. ``coverage`` (rows, columns) counts the views with corners in each
+    part of the image, and ``projection`` (rows, columns) is the predicted error there, in pixels.
+    ``warnings`` are for the user.
     """
 
     model: CameraModel
     rms: float
     deviations: dict[str, float]
     lens: str
-    held_out: dict[str, float]
+    predicted: dict[str, float]
     views: tuple[UsedView, ...]
     rejected: tuple[Rejected, ...]
     coverage: NDArray[np.intp]
+    projection: Array
     warnings: tuple[str, ...]
 
     @property
@@ -102,14 +119,13 @@ class CameraCalibration:
 
 
 class _Fit(NamedTuple):
-    """A camera fitted to views: image size, lens model, camera matrix, coefficients, their standard
-    deviations, and the target's rotation vector in each view."""
+    """A camera fitted to views: image size, lens model, camera matrix, coefficients, and the
+    target's rotation vector in each view."""
 
     size: tuple[int, int]
     lens: Lens
     matrix: Array
     coefficients: Array
-    deviations: Array
     turns: list[Array]
 
     def model(self) -> CameraModel:
@@ -150,11 +166,12 @@ def calibrate_camera(
     """Calibrate the camera that took these views in images of ``size`` (width, height).
 
     ``lens_model`` is ``plumb_bob`` or ``rational_polynomial``; if it is None, the model is chosen
-    by cross-validation. ``unseen`` are photographs without a detected target; the result lists them
-    as rejected.
+    by its predicted projection error. ``unseen`` are photographs without a detected target; the
+    result lists them as rejected.
 
     Raises:
-        CalibrationRefused: too few views remain, or they do not determine the focal length.
+        CalibrationRefused: too few views remain, they do not determine the focal length, or no lens
+            model describes them.
     """
     kept, screened = screen(views, size)
     rejected = [*unseen, *screened]
@@ -212,10 +229,11 @@ def _check_perspective(views: Sequence[TargetView], target: Target) -> None:
 
 
 class _Choice(NamedTuple):
-    """The chosen lens model, and the cross-validation error of every model in pixels, by label."""
+    """The chosen lens model, and the predicted projection error of every model in pixels, by
+    label."""
 
     lens: Lens
-    held_out: dict[str, float]
+    predicted: dict[str, float]
 
 
 @dataclass(frozen=True)
@@ -272,43 +290,66 @@ class _Fitter:
         return np.asarray(members if members.sum() >= MIN_VIEWS else np.ones_like(members))
 
     def choose(self, views: Sequence[TargetView]) -> _Choice:
-        """Choose a lens model by cross-validation.
+        """Choose a lens model by its predicted projection error over the whole image.
 
-        A more complex model is chosen only if it is invertible over the whole image and reduces the
-        mean squared error enough: by 25 %, or by at least 2 % and two standard errors of the
-        difference.
+        The predicted error combines the uncertainty of the coefficients with the part of the
+        residuals that another model explains. A more complex model is chosen only if it is
+        invertible over the whole image and reduces this error enough (``_BETTER``).
         """
-        order = np.random.default_rng(1).permutation(len(views))
-        folds = [order[start::_FOLDS] for start in range(_FOLDS)]
-        squares: dict[Lens, Array] = {}
+        found: dict[Lens, tuple[float, float]] = {}
         for lens in self.lenses:
-            with suppress(CalibrationRefused):
-                whole = self.fit(views, lens)
-                if not whole.invertible():
-                    continue
-                square = np.zeros(len(views))
-                for fold in folds:
-                    rest = [views[index] for index in order if index not in set(fold.tolist())]
-                    fit = self.fit(rest, lens, whole)
-                    square[fold] = self.errors([views[index] for index in fold], fit) ** 2
-                squares[lens] = square
-        if not squares:
+            with suppress(CalibrationRefused, np.linalg.LinAlgError):
+                fit = self.fit(views, lens)
+                if fit.invertible():
+                    covariance, misfit = self.uncertainty(views, fit)
+                    found[lens] = misfit, float((_projection(fit, covariance) ** 2).mean())
+        if not found:
             raise CalibrationRefused(
                 "no lens model fits these views: add views with the target tilted by 20 to 40 "
                 "degrees in different directions and in every part of the image, and check the "
                 "number of squares given for the target"
             )
-        best = next(iter(squares))
-        for lens in list(squares)[1:]:
-            gain = squares[best] - squares[lens]
-            standard_error = 2.0 * gain.std(ddof=1) / np.sqrt(len(views))
-            before = squares[best].mean()
-            if gain.mean() > max(min(standard_error, 0.25 * before), 0.02 * before):
+        least = min(misfit for misfit, _ in found.values())
+        predicted = {
+            lens: float(np.sqrt(misfit - least + variance))
+            for lens, (misfit, variance) in found.items()
+        }
+        best = next(iter(predicted))
+        for lens in predicted:
+            if predicted[lens] < _BETTER * predicted[best]:
                 best = lens
-        return _Choice(best, {lens.label: float(np.sqrt(s.mean())) for lens, s in squares.items()})
+        return _Choice(best, {lens.label: error for lens, error in predicted.items()})
 
-    def fit(self, views: Sequence[TargetView], lens: Lens, start: _Fit | None = None) -> _Fit:
-        """Fit a camera to all corners by least squares, starting from ``start`` if given.
+    def uncertainty(self, views: Sequence[TargetView], fit: _Fit) -> tuple[Array, float]:
+        """Return the covariance (P, P) of fx, fy, cx, cy and the coefficients that are not fixed,
+        and the mean squared residual of a corner in pixels^2.
+
+        The residuals of one view are correlated, because the target is bent or misprinted and the
+        lens model is not exact. Therefore the covariance for independent corners and that for
+        independent views ("sandwich", White 1980) are added.
+        """
+        free = 4 + fit.lens.coefficients - (1 if fit.lens.flags & cv2.CALIB_FIX_K3 else 0)
+        normal, scores, total, count = np.zeros((free, free)), [], 0.0, 0
+        for view in views:
+            points, turn, shift = self._placed(view, fit)
+            seen, jacobian = cv2.projectPoints(points, turn, shift, fit.matrix, fit.coefficients)
+            left = (view.pixels - seen.reshape(-1, 2)).ravel()
+            pose, _ = np.linalg.qr(jacobian[:, :6])
+            own = jacobian[:, 6 : 6 + free]
+            own = own - pose @ (pose.T @ own)
+            normal += own.T @ own
+            scores.append(own.T @ left)
+            total += float(left @ left)
+            count += len(left) - 6
+        inverse = np.linalg.inv(normal)
+        variance = total / max(count - free, 1)
+        score = np.array(scores)
+        score = (score - score.mean(axis=0)) * np.sqrt(len(score) / (len(score) - 1))
+        ours = inverse @ (score.T @ score) @ inverse
+        return inverse * variance + ours, 2.0 * variance
+
+    def fit(self, views: Sequence[TargetView], lens: Lens) -> _Fit:
+        """Fit a camera to all corners by least squares.
 
         Raises:
             CalibrationRefused: OpenCV finds no solution.
@@ -322,16 +363,13 @@ class _Fitter:
             for view in views
         ]
         try:
-            _, matrix, coefficients, turns, _, deviations, _, _ = cv2.calibrateCameraExtended(
+            _, matrix, coefficients, turns, _ = cv2.calibrateCamera(
                 [each.astype(np.float32) for each in points],
                 [np.ascontiguousarray(view.pixels.astype(np.float32)[:, None]) for view in views],
                 self.size,
-                np.eye(3) if start is None else start.matrix.copy(),
-                # OpenCV accepts eight coefficients for every model.
-                np.zeros(8)
-                if start is None
-                else np.pad(start.coefficients, (0, 8 - lens.coefficients)),
-                flags=lens.flags | (0 if start is None else cv2.CALIB_USE_INTRINSIC_GUESS),
+                np.eye(3),
+                np.zeros(8),  # OpenCV accepts eight coefficients for every model
+                flags=lens.flags,
                 criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-9),
             )
         except cv2.error as error:
@@ -343,21 +381,26 @@ class _Fitter:
             lens,
             np.asarray(matrix, dtype=float),
             np.ravel(coefficients).astype(float)[: lens.coefficients],
-            np.ravel(deviations).astype(float),
             [np.asarray(turn, dtype=float) for turn in turns],
         )
 
     def residuals(self, view: TargetView, fit: _Fit) -> Array:
         """Compute the residuals (N, 2) of a view's corners after fitting its pose to this
         camera."""
+        points, turn, shift = self._placed(view, fit)
+        seen, _ = cv2.projectPoints(points, turn, shift, fit.matrix, fit.coefficients)
+        return np.asarray(view.pixels - seen.reshape(-1, 2), dtype=float)
+
+    def _placed(self, view: TargetView, fit: _Fit) -> tuple[Array, Array, Array]:
+        """Return the corners (N, 3) of a view in the target's frame, and the rotation vector and
+        the position of the target in this view (NaN if there is no solution)."""
         points = np.column_stack([self.target.points[view.ids], np.zeros(len(view.ids))])
         camera = fit.matrix, fit.coefficients
         good, turn, shift = cv2.solvePnP(points, view.pixels, *camera, flags=cv2.SOLVEPNP_IPPE)
         if not good:
-            return np.full((len(view.ids), 2), np.inf)
+            return points, np.full(3, np.nan), np.full(3, np.nan)
         turn, shift = cv2.solvePnPRefineLM(points, view.pixels, *camera, turn, shift)
-        seen, _ = cv2.projectPoints(points, turn, shift, *camera)
-        return np.asarray(view.pixels - seen.reshape(-1, 2), dtype=float)
+        return points, turn, shift
 
     def errors(self, views: Sequence[TargetView], fit: _Fit) -> Array:
         """Compute the root mean square corner error (V,) of each view."""
@@ -381,6 +424,66 @@ class _Fitter:
         return list(views)
 
 
+def _projection(fit: _Fit, covariance: Array) -> Array:
+    """Predicted standard deviation (rows, columns), in pixels, of the projection in each part of
+    the image (``GRID``) for a covariance (P, P) of the camera's parameters.
+
+    A rotation of the camera compensates a part of the error and is not counted.
+    """
+    rows, columns = GRID
+    width, height = fit.size
+    u, v = np.meshgrid(np.linspace(0.0, width - 1, columns), np.linspace(0.0, height - 1, rows))
+    rays = fit.model().rays(np.stack([u, v], axis=-1).reshape(-1, 2))
+    points = np.column_stack([rays, np.ones(len(rays))])
+    zero = np.zeros(3)
+    _, jacobian = cv2.projectPoints(points, zero, zero, fit.matrix, fit.coefficients)
+    turns, _ = np.linalg.qr(jacobian[:, :3])
+    own = jacobian[:, 6 : 6 + len(covariance)]
+    own = own - turns @ (turns.T @ own)
+    variance = np.einsum("ni,ij,nj->n", own, covariance, own)
+    # Rounding may make the variance of an undetermined lens negative.
+    variance = np.maximum(variance.reshape(rows, columns, 2).sum(axis=-1), 0.0)
+    return np.asarray(np.sqrt(variance))
+
+
+def _check_rms(fitter: _Fitter, views: Sequence[TargetView], rms: float) -> None:
+    """Raise CalibrationRefused if the reprojection error is too large."""
+    if rms <= _MAX_RMS:
+        return
+    text = (
+        f"corners are {rms:.2f} pixels (rms) from their reprojections (limit {_MAX_RMS:g}), so the "
+        "file would be wrong"
+    )
+    if _fisheye_rms(fitter, views) < _WIDE * rms:
+        raise CalibrationRefused(
+            f"{text}: the lens is a wide-angle (fisheye) lens, which the cell does not support; "
+            "use a lens with a field of view of less than about 100 degrees"
+        )
+    raise CalibrationRefused(
+        f"{text}: check that the target is flat and stiff, that its sizes and number of squares "
+        "were given correctly, and that focus and zoom were locked"
+    )
+
+
+def _fisheye_rms(fitter: _Fitter, views: Sequence[TargetView]) -> float:
+    """Root mean square error, in pixels, of OpenCV's fisheye model; infinite if it does not fit."""
+    flags = cv2.fisheye.CALIB_RECOMPUTE_EXTRINSIC | cv2.fisheye.CALIB_FIX_SKEW
+    points = [fitter.target.points[view.ids] for view in views]
+    flat = [np.column_stack([each, np.zeros(len(each))])[:, None] for each in points]
+    with suppress(cv2.error):
+        return float(
+            cv2.fisheye.calibrate(
+                flat,
+                [view.pixels[:, None] for view in views],
+                fitter.size,
+                np.eye(3),
+                np.zeros(4),
+                flags=flags,
+            )[0]
+        )
+    return np.inf
+
+
 def _rms(residuals: Array) -> float:
     return float(np.sqrt((residuals**2).sum(axis=1).mean()))
 
@@ -389,9 +492,14 @@ def _result(
     fitter: _Fitter, views: Sequence[TargetView], rejected: Sequence[Rejected], choice: _Choice
 ) -> CameraCalibration:
     lens, fit = choice.lens, fitter.fit(views, choice.lens)
+    residuals = [fitter.residuals(view, fit) for view in views]
+    rms = _rms(np.concatenate(residuals))
+    _check_rms(fitter, views, rms)
     model = fit.model()
+    covariance, _ = fitter.uncertainty(views, fit)
     names = ("fx", "fy", "cx", "cy", *_NAMES)[: 4 + lens.coefficients]
-    deviations = dict(zip(names, fit.deviations.tolist(), strict=False))
+    deviations = dict.fromkeys(names, 0.0)
+    deviations |= dict(zip(names, np.sqrt(np.diag(covariance)).tolist(), strict=False))
     normals = np.array([cv2.Rodrigues(turn)[0][:, 2] for turn in fit.turns])
     turns = np.arccos(np.clip(normals @ normals.T, -1.0, 1.0))
     if turns.max() < _MIN_TURN:
@@ -408,35 +516,46 @@ def _result(
             " the image with it, take more views"
         )
     used = []
-    for view, normal in zip(views, normals, strict=True):
-        residuals = fitter.residuals(view, fit)
+    for view, left, normal in zip(views, residuals, normals, strict=True):
         tilt = float(np.arccos(min(1.0, abs(normal[2]))))
-        used.append(UsedView(view, residuals, _rms(residuals), tilt))
-    rms = _rms(np.concatenate([entry.residuals for entry in used]))
+        used.append(UsedView(view, left, _rms(left), tilt))
+    projection = _projection(fit, covariance)
     counts = coverage(views, fitter.size)
     return CameraCalibration(
         model=model,
         rms=rms,
         deviations=deviations,
         lens=lens.label,
-        held_out=choice.held_out,
+        predicted=choice.predicted,
         views=tuple(used),
         rejected=tuple(rejected),
         coverage=counts,
-        warnings=tuple(_warnings(used, counts, worst, rms)),
+        projection=projection,
+        warnings=tuple(_warnings(used, counts, projection, worst, rms)),
     )
 
 
 def _warnings(
-    used: Sequence[UsedView], counts: NDArray[np.intp], worst: float, rms: float
+    used: Sequence[UsedView],
+    counts: NDArray[np.intp],
+    projection: Array,
+    worst: float,
+    rms: float,
 ) -> list[str]:
-    """Return warnings about the used views and their root mean square error in pixels."""
+    """Return warnings about the used views, the predicted projection error and the root mean square
+    error, both in pixels."""
     warnings = []
     if rms > _HIGH_RMS:
         warnings.append(
             f"corners are {rms:.2f} pixels (rms) from their reprojections; a flat target in "
             "sharp photographs gives 0.1 to 0.3. Check that the target is flat and that its sizes "
             "were given correctly"
+        )
+    if projection.max() > _HIGH_PREDICTED:
+        warnings.append(
+            f"the predicted projection error is up to {projection.max():.1f} pixels at the border "
+            f"of the image ({projection[counts > 0].max():.1f} where there are corners): take more "
+            "views with the target at the border and in the corners"
         )
     uncovered = uncovered_regions(counts)
     if uncovered:

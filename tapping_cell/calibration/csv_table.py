@@ -2,11 +2,13 @@
 
 The first line that is not a comment (``#``) names the columns. A column is in SI units unless its
 name ends in another unit: ``x`` and ``x_m`` are in m, ``x_mm`` in mm, ``shoulder_deg`` in degrees.
-Cells are separated by commas, semicolons or tabs. With semicolons or tabs, numbers may have decimal
-commas. A row in which a cell is not a number or is out of range is rejected and listed in
-``faults``. If many rows are out of range, the file is rejected, and the message suggests another
-unit. Other columns are ignored. Rows are numbered as in a text editor: the first line of the file
-is row 1.
+Cells are separated by commas, semicolons, tabs or vertical bars, numbers have decimal points or
+decimal commas, and thousands may be separated. The separator is the one that gives the wanted
+columns; the decimal mark is the one with which every number of the file can be read. If both marks
+fit and give different values, the file is rejected. A row in which a cell is not a number or is out
+of range is rejected and listed in ``faults``. If many rows are out of range, the file is rejected,
+and the message suggests another unit. Other columns are ignored. Rows are numbered as in a text
+editor: the first line of the file is row 1.
 """
 
 from __future__ import annotations
@@ -21,6 +23,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from tapping_cell.configuration.hints import number_hint
 from tapping_cell.se2 import Array
 
 UNITS: dict[str, dict[str, float]] = {
@@ -35,8 +38,25 @@ UNITS: dict[str, dict[str, float]] = {
 }
 """Suffixes of column names and their factors, for each SI unit."""
 
-_DECIMAL_POINT = re.compile(r"[+-]?\d*\.\d*([eE][+-]?\d+)?")
-_DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d*([eE][+-]?\d+)?")
+_SEPARATORS = ",;\t|"
+_SPACE = "[ \u00a0\u2009\u202f'\u2019]"
+
+
+def _number_pattern(decimal: str, thousands: str) -> re.Pattern[str]:
+    """Return the pattern of a number with this decimal mark; thousands may be separated by
+    ``thousands``, by spaces or by apostrophes."""
+    grouped = f"[1-9][0-9]{{0,2}}(?:(?:{thousands}[0-9]{{3}})+|(?:{_SPACE}[0-9]{{3}})+)"
+    whole = f"(?:{grouped}|[0-9]+)"
+    return re.compile(
+        rf"[-+]?(?:{whole}(?:{decimal}[0-9]*)?|{decimal}[0-9]+)(?:[eE][-+]?[0-9]+)?"
+        "|[-+]?(?:nan|inf|infinity)",
+        re.IGNORECASE,
+    )
+
+
+_MARKS = {".": _number_pattern(r"\.", ","), ",": _number_pattern(",", r"\.")}
+"""Pattern of a number for each decimal mark."""
+_EXCEL_ERROR = re.compile(r"#(DIV/0!|N/A|NAME\?|NULL!|NUM!|REF!|VALUE!)")
 _MOST = 0.3
 """Maximum fraction of rows out of range; above this fraction, the whole file is rejected."""
 
@@ -124,8 +144,8 @@ def read_csv(
         repeated, or many values indicate a wrong unit.
     """
     path = Path(path)
-    lines = _lines(path)
-    header = [name.strip() for name in lines[0][1]]
+    separator, lines = _lines(path, columns, (*texts, *optional_texts))
+    header = lines[0][1]
     places = [place for column in columns if (place := _find(path, header, column))]
     text_columns = {
         name: header.index(name) for name in (*texts, *optional_texts) if name in header
@@ -139,10 +159,38 @@ def read_csv(
             f"{path}, row {lines[0][0]}: no column {', '.join(missing)}; the header is"
             f" {', '.join(header)}. Add {wanted or ', '.join(missing)}"
         )
+    _check_names(path, header, columns, (*texts, *optional_texts))
+    tables: list[tuple[str, CsvTable]] = []
+    refusals: list[RecordError] = []
+    for mark in _decimal_marks(path, lines, places, set(text_columns.values()), separator):
+        try:
+            tables.append((mark, _table(path, lines, places, text_columns, mark)))
+        except RecordError as error:
+            refusals.append(error)
+    if not tables:
+        raise refusals[0]
+    if len(tables) == 2:
+        _check_same(path, lines, places, *(table for _, table in tables))
+    return tables[0][1]
+
+
+def _table(
+    path: Path,
+    lines: list[tuple[int, list[str]]],
+    places: Sequence[_Place],
+    text_columns: dict[str, int],
+    mark: str,
+) -> CsvTable:
+    """Build the table with a decimal mark.
+
+    Raises:
+        RecordError: no row is usable, or the values indicate a wrong unit.
+    """
+    header = lines[0][1]
     rows, kept, labels, faults = [], [], [], []
     outside: dict[str, list[float]] = {}
     for row, cells in lines[1:]:
-        numbers, reason = _row(cells, header, places, outside)
+        numbers, reason = _row(cells, header, places, outside, mark)
         if reason is None:
             rows.append(row)
             kept.append(numbers)
@@ -165,46 +213,185 @@ def read_csv(
     )
 
 
-def _lines(path: Path) -> list[tuple[int, list[str]]]:
-    """Read row number and cells of each line that is neither empty nor a comment; the first such
-    line is the header."""
+def _text(path: Path) -> str:
+    """Read a file in UTF-8, or in UTF-16 with a byte order mark, as Excel's "Unicode text"."""
     try:
-        text = path.read_text(encoding="utf-8-sig")
+        content = path.read_bytes()
+        encoding = "utf-16" if content[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
+        text = content.decode(encoding)
     except OSError as error:
         raise RecordError(
             f"{path}: cannot be read ({error.strerror}); give the path of an existing CSV file"
         ) from error
     except UnicodeDecodeError as error:
         raise RecordError(f"{path}: is not UTF-8 text; save it as CSV in UTF-8") from error
-    found: list[tuple[int, list[str]]] = []
-    delimiter = ","
-    for number, line in enumerate(text.splitlines(), start=1):
-        if not line.strip() or line.lstrip().startswith("#"):
-            continue
-        if not found and "," not in line:
-            delimiter = next((mark for mark in ";\t" if mark in line), ",")
+    if "\0" in text:
+        raise RecordError(f"{path}: contains NUL characters; save it as CSV in UTF-8")
+    return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
+def _lines(
+    path: Path, columns: Sequence[Column], texts: Sequence[str]
+) -> tuple[str, list[tuple[int, list[str]]]]:
+    """Return the separator, and row number and cells of each line that is neither empty nor a
+    comment; the first such line is the header."""
+    lines = [
+        (number, line)
+        for number, line in enumerate(_text(path).split("\n"), start=1)
+        if line.strip() and (not line.lstrip().startswith("#") or _EXCEL_ERROR.match(line.lstrip()))
+    ]
+    separators = _SEPARATORS
+    if lines and (told := re.fullmatch('"?sep=(.)"?', lines[0][1].strip(" "), re.IGNORECASE)):
+        separators = told[1]
+        del lines[0]
+    if not lines:
+        raise RecordError(f"{path}: is empty; its first line must name the columns")
+    readings, refusal = [], RecordError()
+    for separator in separators:
         try:
-            found.append((number, next(csv.reader([line], delimiter=delimiter, strict=True))))
+            read = _split(path, lines, separator)
+        except RecordError as error:
+            refusal = refusal if refusal.args else error
+            continue
+        header = read[0][1]
+        named = [any(name in header for name in column.headers()) for column in columns]
+        complete = all(n or not c.required for n, c in zip(named, columns, strict=True))
+        whole = sum(len(row) == len(header) for _, row in read)
+        known = sum(named) + sum(name in header for name in texts)
+        readings.append(((complete, known, whole, len(header)), separator, read))
+    if not readings:
+        raise refusal
+    best = max(rank for rank, _, _ in readings)
+    (_, separator, read), *others = [reading for reading in readings if reading[0] == best]
+    for _, other, cells in others:
+        if cells != read and best[0]:
+            raise RecordError(
+                f"{path}: both {separator!r} and {other!r} may separate the cells; name the "
+                f"separator in a first line, such as sep={separator}"
+            )
+    return separator, read
+
+
+def _split(
+    path: Path, lines: Sequence[tuple[int, str]], separator: str
+) -> list[tuple[int, list[str]]]:
+    """Split lines into cells. Empty cells at the end of the header, and cells below them, are
+    dropped, as are rows without any content."""
+    found: list[tuple[int, list[str]]] = []
+    columns = 0
+    for number, line in lines:
+        reader = csv.reader([line], delimiter=separator, strict=True, skipinitialspace=True)
+        try:
+            cells = [cell.strip() for cell in next(reader)]
         except csv.Error as error:
             raise RecordError(f"{path}, row {number}: is not CSV: {error}") from error
+        while cells and not cells[-1] and (not found or len(cells) > columns):
+            del cells[-1]
+        if any(cells):
+            columns = columns or len(cells)
+            found.append((number, cells))
     if not found:
         raise RecordError(f"{path}: is empty; its first line must name the columns")
-    return found if delimiter == "," else _with_points(found)
+    return found
 
 
-def _with_points(lines: list[tuple[int, list[str]]]) -> list[tuple[int, list[str]]]:
-    """Convert decimal commas to points.
+def _decimal_marks(
+    path: Path,
+    lines: list[tuple[int, list[str]]],
+    places: Sequence[_Place],
+    texts: set[int],
+    separator: str,
+) -> list[str]:
+    """Return the decimal marks with which every number of the file can be read.
 
-    A file with any decimal point is left unchanged, because its commas may separate thousands.
+    Numbers in the wanted columns decide; those in other columns count only if both marks fit.
+
+    Raises:
+        RecordError: some numbers have a decimal point and others a decimal comma.
     """
-    cells = [cell.strip() for _, row in lines[1:] for cell in row]
-    if any(_DECIMAL_POINT.fullmatch(cell) for cell in cells):
-        return lines
-    commas = [
-        (number, [c.replace(",", ".") if _DECIMAL_COMMA.fullmatch(c.strip()) else c for c in row])
-        for number, row in lines[1:]
+    cells = [
+        (row, index, cell)
+        for row, columns in lines[1:]
+        for index, cell in enumerate(columns)
+        if index not in texts and any(mark.fullmatch(cell) for mark in _MARKS.values())
     ]
-    return [lines[0], *commas]
+    wanted = {place.index for place in places}
+    own = [(row, cell) for row, index, cell in cells if index in wanted]
+    if separator == "," and not any("," in cell for _, cell in own):
+        return ["."]
+    unread = {
+        mark: next(((row, cell) for row, cell in own if not pattern.fullmatch(cell)), None)
+        for mark, pattern in _MARKS.items()
+    }
+    fitting = [mark for mark, cell in unread.items() if cell is None]
+    if not fitting:
+        (row, cell), (other_row, other) = unread["."] or (0, ""), unread[","] or (0, "")
+        raise RecordError(
+            f"{path}: row {row} has the number {cell!r}, row {other_row} has {other!r}: write all "
+            "numbers with the same decimal mark"
+        )
+    others = [m for m in fitting if all(_MARKS[m].fullmatch(cell) for _, _, cell in cells)]
+    return others or fitting
+
+
+def _check_same(
+    path: Path,
+    lines: list[tuple[int, list[str]]],
+    places: Sequence[_Place],
+    point: CsvTable,
+    comma: CsvTable,
+) -> None:
+    """Raise RecordError if the two tables differ, which were read with a decimal point and with a
+    decimal comma."""
+    if point.rows.tolist() == comma.rows.tolist() and all(
+        np.array_equal(point.values[name], comma.values[name], equal_nan=True)
+        for name in point.values
+    ):
+        return
+    row, header, cell = next(
+        (row, place.header, cells[place.index])
+        for row, cells in lines[1:]
+        for place in places
+        if place.index < len(cells)
+        and all(pattern.fullmatch(cells[place.index]) for pattern in _MARKS.values())
+        and _number(cells[place.index], ".") != _number(cells[place.index], ",")
+    )
+    raise RecordError(
+        f"{path}, row {row}: {header} is {cell!r}, which may be {_number(cell, '.'):.12g} (decimal "
+        f"point) or {_number(cell, ','):.12g} (decimal comma), and both fit the whole file; write "
+        "the numbers without separators between thousands, and with a decimal point in a file "
+        "with commas between the cells"
+    )
+
+
+def _number(cell: str, mark: str) -> float:
+    """Return the value of a cell that matches the pattern of the decimal mark."""
+    digits = re.sub(_SPACE, "", cell).replace("," if mark == "." else ".", "")
+    return float(digits.replace(mark, "."))
+
+
+_UNIT_WORDS = {
+    *(ending.lower() for endings in UNITS.values() for ending in endings),
+    *("", "°", "degree", "degrees", "radian", "radians", "µm", "µs", "µj", "sec", "seconds"),
+    *("meter", "meters", "metre", "metres", "in", "inch", "inches"),
+}
+
+
+def _check_names(
+    path: Path, header: Sequence[str], columns: Sequence[Column], texts: Sequence[str]
+) -> None:
+    """Raise RecordError if the name of an optional column differs only in case or in its unit from
+    a known name: the column would be ignored."""
+    known = {name for column in columns for name in column.headers()} | set(texts)
+    for column in columns:
+        for name in header:
+            ending = name.lower().removeprefix(column.name.lower())
+            if name in known or ending == name.lower() or set(column.headers()) & set(header):
+                continue
+            if ending.strip(" _[](){}.").replace("/", "_") in _UNIT_WORDS:
+                raise RecordError(
+                    f"{path}: the column {name!r} would be ignored; name it {_described(column)}"
+                )
 
 
 def _described(column: Column) -> str:
@@ -232,6 +419,7 @@ def _row(
     header: Sequence[str],
     places: Sequence[_Place],
     outside: dict[str, list[float]],
+    mark: str,
 ) -> tuple[list[float], str | None]:
     """Return the numbers of a row, and the reason if the row is unusable (otherwise None).
 
@@ -241,15 +429,14 @@ def _row(
         return [], f"has {len(cells)} cells, but the header has {len(header)} columns"
     numbers, reasons = [], []
     for place in places:
-        cell, column = cells[place.index].strip(), place.column
+        cell, column = cells[place.index], place.column
         if not cell and not column.required:
             numbers.append(math.nan)
             continue
-        try:
-            given = float(cell)
-        except ValueError:
-            reasons.append(f"{place.header} is {cell!r}, not a number")
+        if not _MARKS[mark].fullmatch(cell):
+            reasons.append(f"{place.header} is {cell!r}, not a number{number_hint(cell)}")
             continue
+        given = _number(cell, mark)
         value = given * place.factor
         if not math.isfinite(value):
             reasons.append(f"{place.header} is {cell}, not a finite number")

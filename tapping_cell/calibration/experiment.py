@@ -6,12 +6,11 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-import yaml
-
 from tapping_cell.calibration.csv_table import RecordError
 from tapping_cell.calibration.trials import LeftOut, Trial, read_trials
 from tapping_cell.configuration.objects import ObjectFile
 from tapping_cell.configuration.schema import choice, load, quantity, section, text
+from tapping_cell.configuration.yaml_document import format_yaml
 from tapping_cell.mechanics import Striker
 
 HEADER_FILE = "experiment.yaml"
@@ -127,7 +126,7 @@ def write_new(file: Path, content: dict[str, Any]) -> None:
         OSError: the folder cannot be written.
     """
     file.parent.mkdir(parents=True, exist_ok=True)
-    text = yaml.safe_dump(plain(content), sort_keys=False, default_flow_style=None)
+    text = format_yaml(plain(content), default_flow_style=None)
     with file.open("x", encoding="utf-8") as stream:
         stream.write(text)
 

@@ -8,7 +8,6 @@ from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
-import yaml
 
 from tapping_cell.calibration.estimates import with_estimates
 from tapping_cell.calibration.experiment import plain
@@ -16,6 +15,7 @@ from tapping_cell.calibration.keep import fingerprints, now
 from tapping_cell.calibration.object_fit import ObjectFit
 from tapping_cell.configuration.objects import ObjectFile
 from tapping_cell.configuration.provenance import Provenance, provenance_yaml
+from tapping_cell.configuration.yaml_document import format_yaml
 
 _SCALES = ("scale_b1", "scale_b2", "scale_b3")
 
@@ -70,6 +70,6 @@ FITTED = "Fitted to single taps (tapping_cell fit)."
 def object_yaml(content: ObjectFile, record: Provenance | None, heading: str = FITTED) -> str:
     """Format the object file."""
     keys = plain(asdict(replace(content, calibration=None)))
-    text = yaml.safe_dump(keys, sort_keys=False, default_flow_style=None, allow_unicode=True)
+    text = format_yaml(keys, default_flow_style=None, allow_unicode=True)
     title = f"# {heading}\n# Lengths in m, masses in kg, angles in rad.\n"
     return title + text + (provenance_yaml(record) if record is not None else "")

@@ -234,23 +234,6 @@ def predict(fit: ObjectFit, experiments: Sequence[Experiment]) -> tuple[RunError
     return run_errors(_labels(new.used), new.measured, by_sliding, by_tapping)
 
 
-def predicted_taps(fit: ObjectFit, experiments: Sequence[Experiment]) -> Taps:
-    """Return the taps of ``experiments`` with the fit's predictions. These experiments must not
-    have been used in the fit.
-
-    Raises:
-        RecordError: the records cannot be used, or the impact was not fitted.
-    """
-    used, measured, impacts = _unseen(fit, experiments)
-    if impacts is None:
-        raise RecordError(
-            "the taps cannot be predicted: either the object's impact was not fitted, or no "
-            "experiment.yaml describes the striker"
-        )
-    tapped = _tapped(used, fit.slide, impacts, fit.content.body())
-    return _taps(used, _labels(used), measured, tapped, impacts.rows)
-
-
 class _Unseen(NamedTuple):
     """Trials that were not used in a fit, their launches, and their strikes with the fitted impact
     model. The last item is None if the impact was not fitted or no ``experiment.yaml`` describes

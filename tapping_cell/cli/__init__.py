@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import json
 import os
 import select
 import signal
 import sys
 from collections.abc import Callable, Sequence
+from pathlib import Path
 
 from tapping_cell.nodes import security
 
@@ -37,7 +39,6 @@ VERBS = {
     "sensitivity": "compute the sensitivity of a tap's result to errors of the striker's pose",
     "locate": "measure the object's pose in image files",
     "calibrate": "calibrate camera, table, arm or tappers; print sheets",
-    "faults": "test logic, drivers and boards under injected faults, in simulated time",
     "report": "rewrite the reports of run folders, and compare runs",
     "check-config": "check configuration files without starting anything",
     "doctor": "check the settings of arm and tapper without moving them",
@@ -48,6 +49,8 @@ VERBS = {
 MOVED = {
     "bench": "the benchmarks are no longer part of the package; in the source tree, run  python -m "
     "benchmarks",
+    "faults": "the cell under faults is tested by the laboratory, which is not installed; in the "
+    "source tree, run  python -m lab faults  (whole cell), or  python -m lab drivers",
 }
 """Error messages for verbs that were removed, by verb. Each message names the replacement."""
 
@@ -109,6 +112,7 @@ def _parser_of(argv: list[str]) -> tuple[argparse.ArgumentParser, Execute]:
 
     verb = argv[0] if argv else ""
     if verb in VERBS:
+        refuse_typo(argv)
         return verb_parser(verb)
     parser = Parser(
         prog="python -m tapping_cell",
@@ -125,6 +129,36 @@ def _parser_of(argv: list[str]) -> tuple[argparse.ArgumentParser, Execute]:
     if not verb:
         parser.error(f"no verb was given; choose from {', '.join(VERBS)}")
     parser.error(f"there is no verb '{verb}'{suggestion(verb, VERBS)}")
+
+
+def refuse_typo(argv: Sequence[str]) -> None:
+    """Exit with an error for an unknown option, choice or sub-verb.
+
+    The verb's own parser does the same, but loading the modules of a verb takes seconds.
+    ``make reference`` writes the options of all verbs to ``options.json``.
+    """
+    from tapping_cell.cli.errors import Parser, unknown_option, wrong_choice
+
+    verbs = json.loads((Path(__file__).parent / "options.json").read_text(encoding="utf-8"))
+    name = argv[0]
+    inner = [verb.split()[1] for verb in verbs if verb.startswith(f"{name} ")]
+    parser = Parser(prog=f"python -m tapping_cell {name}")
+    if inner and len(argv) > 1 and not argv[1].startswith("-"):
+        if argv[1] not in inner:
+            parser.error(wrong_choice("WHAT", argv[1], inner))
+        name = f"{name} {argv[1]}"
+        parser.prog = f"python -m tapping_cell {name}"
+    known = verbs[name]
+    for word, following in zip(argv[1:], [*argv[2:], ""], strict=False):
+        if word == "--":
+            return
+        option, equals, value = word.partition("=")
+        if option not in known and word.startswith("--") and " " not in word:
+            parser.error(unknown_option(word, option, known))
+        choices = known.get(option)
+        value = value if equals else following
+        if choices and value and value not in choices and not value.startswith("-"):
+            parser.error(wrong_choice(option, value, choices))
 
 
 def _reader_has_gone() -> bool:

@@ -126,7 +126,6 @@ def follow(
     client: ArrangeClient,
     check: Callable[[], None],
     console: Console,
-    on_tap: Callable[[], None] = lambda: None,
 ) -> ArrangementEnded:
     """Show an arrangement's progress until it ends. ``check`` is called at every event and may
     raise an exception to abort."""
@@ -134,7 +133,6 @@ def follow(
         for event in client.events():
             check()
             if isinstance(event, ObjectTapped):
-                on_tap()
                 one = next(each for each in event.objects if each.name == event.name)
                 console.print(f"tap {event.number}: {end_text(one)}", highlight=False)
                 reached = sum(each.state == "reached" for each in event.objects)

@@ -17,7 +17,9 @@ from __future__ import annotations
 import argparse
 import re
 import time
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 from rich.markup import escape
@@ -32,7 +34,7 @@ from tapping_cell.cli.signals import end_on_signals
 from tapping_cell.cli.start_checks import require_folder
 from tapping_cell.configuration.schema import ConfigurationError
 from tapping_cell.nodes.clients.single_tap_client import NoAnswer
-from tapping_cell.report.commissioning_page import write_page
+from tapping_cell.report.rendering import render
 
 RESUME_ADVICE = re.compile(r"(;|, then) continue with --resume")
 """Advice in the messages of other verbs. `commission` has no such option: it always resumes."""
@@ -169,3 +171,28 @@ def _how_to_continue(session: Session, step: Step, again: list[str]) -> str:
         f"{command} resumes at this step with the measurements in {recording.name}; "
         f"--again {step.name} discards them"
     )
+
+
+PAGE = "commissioning.html"
+
+
+def write_page(
+    folder: Path,
+    titles: Sequence[tuple[str, str]],
+    proofs: Mapping[str, Any],
+    *,
+    hardware: bool,
+) -> Path:
+    """Write ``commissioning.html``; ``titles`` are name and title of every step, in order.
+    ``hardware``: whether the steps ran on hardware."""
+    text = render(
+        "commissioning.html",
+        steps=titles,
+        proofs=proofs,
+        cell="cell" if hardware else "simulated cell",
+        done=sum(name in proofs for name, _ in titles),
+        seconds=sum(float(proof["seconds"]) for proof in proofs.values()),
+    )
+    page = folder / PAGE
+    page.write_text(text, encoding="utf-8")
+    return page

@@ -9,8 +9,7 @@ measured and the true pose of the object are within the tolerance.
 
 With --objects, several objects lie on the table, and each is brought to its own goal. Start and
 goal poses are random and depend on --seed. With --goals swap, the goals are not random: the objects
-exchange their places in pairs. The run folder of several objects contains the scene's files,
-report.html, arrangement.json and arrangement.png.
+exchange their places in pairs. The run folder then also contains the scene's files.
 
     python -m tapping_cell demo --objects 3
     python -m tapping_cell demo --objects 2 --goals swap
@@ -24,15 +23,15 @@ import json
 import math
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from datetime import datetime
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 from tapping_cell_msgs.msg import ErrorCode
 
-from tapping_cell.cli import argument_types, session
-from tapping_cell.cli.demo_arrangement import arrange
+from tapping_cell.cli import argument_types, arrange, session
 from tapping_cell.cli.demo_scene import GOALS, MAX_OBJECTS, write_scene
 from tapping_cell.cli.errors import ExitStatus, print_error, print_refusal
 from tapping_cell.cli.graph import (
@@ -52,7 +51,10 @@ from tapping_cell.cli.start_checks import (
 )
 from tapping_cell.cli.up import add_truth_arguments, node_parameters
 from tapping_cell.configuration.cell import load_cell
+from tapping_cell.configuration.layout_file import LayoutFile
 from tapping_cell.configuration.schema import ConfigurationError
+from tapping_cell.nodes.clients.action_follower import ActionFollower
+from tapping_cell.nodes.clients.arrange_client import ArrangeClient
 from tapping_cell.nodes.clients.goal_client import GoalClient
 from tapping_cell.nodes.conversions import from_message
 from tapping_cell.planning import UnknownPlannerError, require_planner
@@ -68,7 +70,7 @@ from tapping_cell.report.run_folder import (
 from tapping_cell.report.words import counted
 from tapping_cell.se2 import Pose, wrap_angle
 
-READY_TIMEOUT_S = 60.0
+READY_TIMEOUT_S = 90.0
 RECORD_TIMEOUT_S = 60.0
 INTERRUPTED_TIMEOUT_S = 8.0
 
@@ -152,20 +154,17 @@ def run(arguments: argparse.Namespace) -> int:
     console.print(f"run folder {folder}; watch it with ROS_DOMAIN_ID={domain.number}")
     parameters = node_parameters(arguments, cell)
     parameters[RECORDER] |= {"folder": folder.parent, "name": folder.name}
-    nodes = nodes_of(cell, hardware=False)
-    if scene is None:
-        # Only a single goal needs the recorder. The demo itself writes the report of an
-        # arrangement, from the action and the ground truth.
-        nodes = (*nodes, RECORDER)
+    nodes = (*nodes_of(cell, hardware=False), RECORDER)
     try:
         with (
             tempfile.TemporaryDirectory(prefix="tapping_cell-") as ports,
             Graph(nodes, with_own_ports(parameters, Path(ports)), folder / "logs") as graph,
         ):
             if scene is not None:
-                return arrange(scene.layout, cell, graph, folder, console, arguments.json)
-            with GoalClient("demo") as client:
-                record = read_run(_position(arguments, graph, client, console))
+                written = _arrange(scene.layout, graph, console)
+            else:
+                written = _position(arguments, graph, console)
+            record = read_run(written)
     except (GraphError, session.NotReadyInTime, session.NotRecorded, RunError) as error:
         print_error(str(error))
         not_ready = isinstance(error, session.NotReadyInTime)
@@ -202,10 +201,29 @@ def _metres(goal: Sequence[float]) -> tuple[float, float]:
     return goal[0] / 1000, goal[1] / 1000
 
 
-def _position(
-    arguments: argparse.Namespace, graph: Graph, client: GoalClient, console: Console
-) -> Path:
+def _arrange(layout: LayoutFile, graph: Graph, console: Console) -> Path:
+    """Arrange the objects. Return the folder in which the run was recorded."""
+    names = frozenset(goal.object for goal in layout.goals)
+    with ArrangeClient("demo") as client:
+        arrange.wait_for(client, names, READY_TIMEOUT_S, graph.check, console)
+        client.send(layout)
+        return _recorded(
+            client, lambda: arrange.follow(client, graph.check, console), graph, console
+        )
+
+
+def _position(arguments: argparse.Namespace, graph: Graph, console: Console) -> Path:
     """Send the goal and follow it to its end. Return the folder in which the run was recorded."""
+    with GoalClient("demo") as client:
+        _send(arguments, graph, client, console)
+        return _recorded(
+            client, lambda: session.follow(client, graph.check, console), graph, console
+        )
+
+
+def _send(
+    arguments: argparse.Namespace, graph: Graph, client: GoalClient, console: Console
+) -> None:
     session.wait_until_ready(client, READY_TIMEOUT_S, graph.check, console)
     observed = client.object_state
     assert observed is not None
@@ -218,8 +236,14 @@ def _position(
         goal = Pose(start.x + dx / 1000, start.y + dy / 1000, turned)
     console.print(f"start {session.pose_text(start)}; goal {session.pose_text(goal)}")
     client.send(goal, observed=observed)
+
+
+def _recorded(
+    client: ActionFollower[Any], follow: Callable[[], object], graph: Graph, console: Console
+) -> Path:
+    """Follow a goal to its end. Return the folder in which the run was recorded."""
     try:
-        session.follow(client, graph.check, console)
+        follow()
     except KeyboardInterrupt:
         if client.cancel():
             with contextlib.suppress(session.NotRecorded, GraphError):
@@ -229,20 +253,26 @@ def _position(
 
 
 def _verdict(record: Run, folder: Path, wall_time: float, console: Console) -> int:
-    measured = residual(record.goal, record.final_measured)
-    true = residual(record.goal, record.final_true)
-    for name, values in (("measured", measured), ("true", true)):
-        if values is not None:
-            console.print(
-                f"{name} residual {values['distance_mm']:.3f} mm and "
-                f"{values['rotation_deg']:.3f} deg"
-            )
+    several = len(record.objects) > 1
+    for one in record.objects:
+        for name, pose in (("measured", one.end), ("true", one.end_true)):
+            values = residual(one.goal, pose)
+            if values is not None:
+                console.print(
+                    (f"'{one.name}' " if several else "")
+                    + f"{name} residual {values['distance_mm']:.3f} mm and "
+                    f"{values['rotation_deg']:.3f} deg",
+                    highlight=False,
+                )
+    for first, second in record.contacts or ():
+        console.print(f"'{first}' touched '{second}'", highlight=False)
+    what = "arrangement" if several else "goal"
     if record.reached:
         console.print(
-            f"[green]goal reached[/green] in {counted(len(record.taps), 'tap')}, "
+            f"[green]{what} reached[/green] in {counted(len(record.taps), 'tap')}, "
             f"{wall_time:.0f} s; see {folder / 'report.html'}"
         )
         return 0
-    reason = record.error_msg or "the object's true pose is outside the tolerance"
-    print_error(f"goal not reached: {reason}", record.error_code)
+    reason = record.error_msg or "the true pose of an object is outside its tolerance"
+    print_error(f"{what} not reached: {reason}", record.error_code)
     return 1

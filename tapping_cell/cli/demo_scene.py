@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from tapping_cell.configuration import assembly
 from tapping_cell.configuration.cell import Cell, load_cell, load_further_objects
@@ -17,6 +16,7 @@ from tapping_cell.configuration.files import shared_folder
 from tapping_cell.configuration.layout_file import LayoutFile
 from tapping_cell.configuration.objects import ObjectFile
 from tapping_cell.configuration.schema import ConfigurationError, load, read_yaml
+from tapping_cell.configuration.yaml_document import format_yaml
 from tapping_cell.planning import FreeSpace, make_planner
 from tapping_cell.planning.evaluation.arrangements import Kind, draw_places, swapped_goals
 from tapping_cell.se2 import Pose
@@ -154,7 +154,7 @@ def _mapping(path: Path) -> dict[str, Any]:
 
 
 def _write(path: Path, content: dict[str, Any]) -> None:
-    path.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
+    path.write_text(format_yaml(content), encoding="utf-8")
 
 
 def _numbers(pose: Pose) -> list[float]:

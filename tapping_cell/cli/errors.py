@@ -8,7 +8,7 @@ from __future__ import annotations
 import argparse
 import difflib
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from enum import IntEnum
 from typing import Any, NoReturn
 
@@ -68,6 +68,18 @@ def suggestion(word: str, known: Iterable[str]) -> str:
     return f"; did you mean '{bare[near[0]]}'?" if near else ""
 
 
+def unknown_option(words: str, option: str, known: Iterable[str]) -> str:
+    """Return the error message for ``words`` on the command line that begin with an unknown
+    option."""
+    return f"there is no argument {words}{suggestion(option, known)}"
+
+
+def wrong_choice(name: str, value: str, choices: Sequence[str]) -> str:
+    """Return the error message for an argument whose value is none of its choices."""
+    near = suggestion(value, choices)
+    return f"{name} cannot be '{value}': choose from {', '.join(choices)}{near}"
+
+
 class Parser(argparse.ArgumentParser):
     """Argument parser whose error messages have the format of all other errors of the verbs.
 
@@ -75,7 +87,8 @@ class Parser(argparse.ArgumentParser):
     """
 
     def __init__(self, *arguments: Any, **options: Any) -> None:
-        super().__init__(*arguments, **options)
+        # An abbreviation can become ambiguous, or mean something else, when an option is added.
+        super().__init__(*arguments, **{"allow_abbrev": False, **options})
         # Use these functions instead of Python's float and int, because float accepts "nan" and
         # "inf".
         self.register("type", float, finite)
@@ -91,12 +104,10 @@ class Parser(argparse.ArgumentParser):
         if unknown:
             first = unknown[1].split()[0]
             options = [name for action in self._actions for name in action.option_strings]
-            return f"there is no argument {unknown[1]}{suggestion(first.split('=')[0], options)}"
+            return unknown_option(unknown[1], first.split("=")[0], options)
         wrong = re.fullmatch(
             r"argument (.+): invalid choice: '?(.*?)'? \(choose from (.*)\)", message
         )
         if wrong:
-            choices = wrong[3].replace("'", "").split(", ")
-            near = suggestion(wrong[2], choices)
-            return f"{wrong[1]} cannot be '{wrong[2]}': choose from {', '.join(choices)}{near}"
+            return wrong_choice(wrong[1], wrong[2], wrong[3].replace("'", "").split(", "))
         return re.sub(r"^argument ([^:]+): ", r"\1: ", message)

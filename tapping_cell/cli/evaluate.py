@@ -48,7 +48,9 @@ from tapping_cell.cli.evaluate_common import (
     camera_of,
     inputs_of,
     progress,
+    refuse_faulty,
     scatter_of,
+    share_text,
     si_pair,
 )
 from tapping_cell.cli.evaluate_fixed import add_fixed_arguments, run_fixed
@@ -319,6 +321,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--json", action="store_true", help="print the results as JSON")
     parser.add_argument(
+        "--force",
+        action="store_true",
+        help="also evaluate a cell file that check-config refuses",
+    )
+    parser.add_argument(
         "--report",
         type=Path,
         metavar="DIR",
@@ -371,6 +378,7 @@ def _fixed_cell(arguments: argparse.Namespace) -> Cell | None:
     if arguments.cell is None:
         return None
     cell = load_cell(arguments.cell, arguments.object)
+    refuse_faulty(arguments, cell)
     return cell if cell.file.fixed_tappers is not None else None
 
 
@@ -546,8 +554,9 @@ def _text(planner: str, figures: dict[str, Any]) -> str:
         f"                    median {taps['p50']}, 90 % within {taps['p90']}, "
         f"99 % within {taps['p99']}, maximum {taps['max']}",
         *_seconds_text(figures),
-        f"  done              {100 * figures['success_rate']:.2f} %",
-        f"  truly inside      {100 * figures['truly_inside_rate']:.2f} % of the trials done",
+        f"  done              {share_text(figures['done'], figures['trials'])} of all trials",
+        f"  truly inside      {share_text(figures['truly_inside'], figures['done'])} of the trials "
+        "done",
         f"  stopping box      {box['distance_mm']:.3f} mm, {box['rotation_deg']:.3f} degrees",
     ]
     if not box["camera_suffices"]:
@@ -557,8 +566,8 @@ def _text(planner: str, figures: dict[str, Any]) -> str:
         )
     if "planned_taps" in figures:
         lines.append(
-            f"  as planned        {100 * figures['within_planned_rate']:.2f} % done within the "
-            f"planned {figures['planned_taps']} taps"
+            f"  as planned        {100 * figures['within_planned_rate']:.2f} % of all trials were "
+            f"done within the planned {figures['planned_taps']} taps"
         )
     for key, label in (
         ("refused_before", "refused early"),

@@ -14,6 +14,9 @@ from rich.console import Console
 from rich.progress import Progress
 
 from tapping_cell.cli.argument_types import MM_AND_DEGREES
+from tapping_cell.configuration.cell import Cell
+from tapping_cell.configuration.conflicts import conflicts
+from tapping_cell.configuration.schema import ConfigurationError
 from tapping_cell.planning import CameraNoise
 from tapping_cell.planning.settings import Scatter
 
@@ -55,6 +58,24 @@ def camera_of(arguments: argparse.Namespace) -> CameraNoise:
     return CameraNoise(*si_pair(arguments.camera_noise))
 
 
+def share_text(part: int, whole: int) -> str:
+    """Format a share with the numbers that it is a share of, such as ``4 of 20 (20.00 %)``."""
+    percent = f" ({100 * part / whole:.2f} %)" if whole else ""
+    return f"{part} of {whole}{percent}"
+
+
+def refuse_faulty(arguments: argparse.Namespace, cell: Cell) -> None:
+    """Raise ConfigurationError if the options name a cell file with contradictions, as
+    ``check-config`` reports them, and not ``--force``."""
+    if arguments.cell is None or arguments.force:
+        return
+    errors, _ = conflicts(cell)
+    if errors:
+        raise ConfigurationError(
+            f"{'; '.join(errors)}: correct this, or evaluate the cell nevertheless with --force"
+        )
+
+
 def si_pair(pair: tuple[float, float]) -> tuple[float, float]:
     """Convert a length in mm and an angle in degrees to m and rad."""
     return 1e-3 * pair[0], math.radians(pair[1])
@@ -66,7 +87,7 @@ def inputs_of(arguments: argparse.Namespace, *left_out: str) -> dict[str, Any]:
     return {
         name: str(value) if isinstance(value, Path) else value
         for name, value in sorted(vars(arguments).items())
-        if name not in {"json", "report", "processes", *left_out}
+        if name not in {"json", "force", "report", "processes", *left_out}
     }
 
 

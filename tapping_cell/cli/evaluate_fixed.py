@@ -12,7 +12,14 @@ from rich.console import Console
 from rich.table import Table
 
 from tapping_cell.cli.argument_types import MM_AND_DEGREES, POSE
-from tapping_cell.cli.evaluate_common import camera_of, inputs_of, progress, scatter_of, si_pair
+from tapping_cell.cli.evaluate_common import (
+    camera_of,
+    inputs_of,
+    progress,
+    scatter_of,
+    share_text,
+    si_pair,
+)
 from tapping_cell.configuration.assembly import make_fixed_space, make_planner_settings
 from tapping_cell.configuration.cell import Cell
 from tapping_cell.planning import PlanningError
@@ -25,8 +32,8 @@ COLUMNS = (
     "seconds",
     "taps, 99 %",
     "taps, maximum",
-    "reached",
-    "truly inside",
+    "reached, of all",
+    "truly inside, of reached",
     "refused",
 )
 
@@ -137,8 +144,8 @@ def _print(cell: Cell, arguments: argparse.Namespace, rows: list[dict[str, Any]]
             f"{row['seconds']['mean']:.2f}" if "seconds" in row else "",
             str(taps.get("p99", "")),
             str(taps.get("max", "")),
-            f"{100 * row['success_rate']:.2f} %",
-            f"{100 * row['truly_inside_rate']:.2f} %",
+            share_text(row["done"], row["trials"]),
+            share_text(row["truly_inside"], row["done"]),
             str(row["refused_before"] + row["refused_later"]),
         )
-    Console(width=110).print(table)
+    Console(width=120).print(table)

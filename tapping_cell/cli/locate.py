@@ -18,7 +18,7 @@ import math
 import os
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -57,9 +57,10 @@ from tapping_cell.vision import (
     PoseTracker,
     ReferenceMap,
     TrackerSettings,
-    annotate,
     marker_ids,
 )
+from tapping_cell.vision.annotate import annotate
+from tapping_cell.vision.images import ImageRefused, read_photograph
 from tapping_cell.vision.markers.detection import dictionary_name
 
 FRAME_PERIOD = 1.0 / 30.0
@@ -143,21 +144,24 @@ def run(arguments: argparse.Namespace) -> int:
     cv2.setNumThreads(1)
     results: list[dict[str, Any]] = []
     for number, path in enumerate(arguments.images):
-        image = read_photograph(path, (camera.width, camera.height))
-        if isinstance(image, str):
-            results.extend(unread(path, seen.name, image) for seen in objects)
+        try:
+            image = read_photograph(path, (camera.width, camera.height))
+        except ImageRefused as error:
+            results.extend(unread(path, seen.name, f"{path} {error}") for seen in objects)
             continue
         if not arguments.sequence:
             search.reset()
         for index, (seen, tracker) in enumerate(zip(objects, search.trackers, strict=True)):
             begin = time.perf_counter()
-            observation = tracker.update(image, number * FRAME_PERIOD)
+            observation = tracker.update(image.pixels, number * FRAME_PERIOD)
             milliseconds = (time.perf_counter() - begin) * 1e3
+            sentence = image.explain(observation.sentence, observation.visible)
+            observation = replace(observation, sentence=sentence)
             results.append(result(path, seen.name, observation, milliseconds))
             if arguments.annotate is None:
                 continue
             view, rim = tracker.view, seen.rim()
-            picture = annotate(image, view, observation, rim, seen.height, references=table)
+            picture = annotate(image.pixels, view, observation, rim, seen.height, references=table)
             try:
                 arguments.annotate.mkdir(parents=True, exist_ok=True)
                 write_image(pictures[number * len(objects) + index], picture)
@@ -190,34 +194,6 @@ class Search:
         self.trackers = [
             PoseTracker(self._camera, self._table, seen, self._settings) for seen in self._seen
         ]
-
-
-def read_photograph(path: Path, size: tuple[int, int]) -> NDArray[np.uint8] | str:
-    """Return an image in grey, 8 bits, for a camera of this size (width, height), or an error
-    message.
-
-    The rotation flag of the file is ignored, so that pixels are arranged as on the sensor. The
-    rotated image is used only if it has the camera's size and the unrotated image does not.
-    """
-    if not path.exists():
-        return f"{path} does not exist; check the name"
-    if path.is_dir():
-        return f"{path} is a folder; give the image files in it"
-    deep = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH
-    image = cv2.imread(str(path), deep | cv2.IMREAD_IGNORE_ORIENTATION)
-    if image is None:
-        return f"{path} cannot be read as an image; give a PNG, JPEG, TIFF, BMP or PGM file"
-    if image.shape == size and image.shape != size[::-1]:
-        turned = cv2.imread(str(path), deep)
-        image = image if turned is None or turned.shape != size[::-1] else turned
-    if image.dtype == np.uint16:
-        # Convert to 8 bits. A camera with 10, 12 or 14 bits leaves the upper bits zero, so the
-        # number of bits is that of the image's largest value, rounded up to an even number.
-        bits = max(8, int(image.max()).bit_length())
-        return np.asarray(image // 2 ** (bits + bits % 2 - 8), dtype=np.uint8)
-    if image.dtype != np.uint8:
-        return f"{path} has pixels of type {image.dtype}; give a file of 8 or 16 bits"
-    return np.asarray(image, dtype=np.uint8)
 
 
 def load_seen_object(path: Path) -> SeenObject:

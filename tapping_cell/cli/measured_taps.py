@@ -18,10 +18,15 @@ def measured_taps(folder: Path, object_name: str) -> list[TapRow]:
         tapping_cell.report.run_folder.RunError: the folder is damaged.
     """
     run = read_run(folder)
-    if run.object_name and run.object_name != object_name:
+    names = [one.name for one in run.objects if one.name]
+    if names and object_name not in names:
         raise RecordError(
-            f"{folder} is a run with '{run.object_name}', but the object file is of "
+            f"{folder} is a run with '{', '.join(names)}', but the object file is of "
             f"'{object_name}'; give the file of the object that was tapped (--object)"
         )
     # An unmeasured pose is NaN.
-    return [tap for tap in run.taps if tap.outcome == "fired" and tap.seen]
+    return [
+        tap
+        for tap in run.taps
+        if tap.outcome == "fired" and tap.seen and tap.object_name in ("", object_name)
+    ]

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING
 
 from tapping_cell.cli import argument_types
 from tapping_cell.cli.errors import print_error
+from tapping_cell.durable_file import replace_text
 
 if TYPE_CHECKING:
     from tapping_cell.configuration.objects import ObjectFile
@@ -69,9 +70,9 @@ def run(arguments: argparse.Namespace) -> int:
     """Trace the object and write the file. Return 0 on success, 2 for an unusable image or
     values."""
     from tapping_cell.calibration.object_file import object_yaml
-    from tapping_cell.cli.locate import read_photograph
     from tapping_cell.configuration.files import shared_folder
     from tapping_cell.configuration.table import load_camera_model, load_reference_map
+    from tapping_cell.vision.images import ImageRefused, read_photograph
     from tapping_cell.vision.outline.tracing import trace_object
 
     output: Path = arguments.output.expanduser()
@@ -82,17 +83,22 @@ def run(arguments: argparse.Namespace) -> int:
         camera = load_camera_model(arguments.camera or shared_folder() / "camera_info.yaml")
         table = load_reference_map(arguments.table or shared_folder() / "table.yaml")
         image = read_photograph(arguments.image, (camera.width, camera.height))
-        if isinstance(image, str):
-            print_error(image)
-            return 2
-        traced = trace_object(image, camera, table, arguments.height / 1000, arguments.dictionary)
+        height = arguments.height / 1000
+        try:
+            traced = trace_object(image.pixels, camera, table, height, arguments.dictionary)
+        except ValueError as error:
+            raise ValueError(image.explain(str(error), visible=False)) from error
         made = _object(arguments, traced)
         output.parent.mkdir(parents=True, exist_ok=True)
-        output.write_text(object_yaml(made, None, HEADING))
+        replace_text(output, object_yaml(made, None, HEADING))
+    except ImageRefused as error:
+        print_error(f"{arguments.image} {error}")
+        return 2
     except (ValueError, OSError) as error:
         print_error(str(error))
         return 2
-    print("\n".join(summary_lines(made, traced)))
+    notes = [f"note: {warning}" for warning in image.warnings]
+    print("\n".join([*summary_lines(made, traced), *notes]))
     print(
         f"wrote {output}; measure friction and torque factor with  python -m tapping_cell "
         f"learn-object --object {output} --output FILE"

@@ -2,10 +2,9 @@
 
 A run is a folder written by the recorder or the demo, or only the bag of a run. For each run
 folder, summary.json, taps.csv, cell.png and report.html are rebuilt from its bag. If the bag is
-missing, only cell.png and report.html are rebuilt, from summary.json and taps.csv. For an
-arrangement of several objects, arrangement.json and report.html are rebuilt from its bag. If that
-bag is missing, only report.html is rebuilt, from arrangement.json. For several runs, a page
-comparison.html is also written. If several paths are given, those that are no runs are skipped.
+missing, only cell.png and report.html are rebuilt, from summary.json and taps.csv. For several
+runs, a page comparison.html is also written. If several paths are given, those that are no runs are
+skipped.
 
     python -m tapping_cell report runs/2026-11-21_15-10-00_to_20_10_0
     python -m tapping_cell report runs/* --output comparison
@@ -26,11 +25,7 @@ from rich.progress import track
 from rich.table import Table
 
 from tapping_cell.cli.errors import print_error
-from tapping_cell.report.arrangement_folder import write_arrangement_folder
-from tapping_cell.report.arrangement_page import write_page
-from tapping_cell.report.arrangement_reader import holds_arrangement
-from tapping_cell.report.arrangement_run import SUMMARY as ARRANGEMENT
-from tapping_cell.report.arrangement_run import read_arrangement
+from tapping_cell.durable_file import replace_text
 from tapping_cell.report.bag import BagError
 from tapping_cell.report.run import Run
 from tapping_cell.report.run_comparison import Row, comparison_page, groups_of, row_of
@@ -43,7 +38,7 @@ from tapping_cell.report.run_folder import (
     write_folder,
     write_illustrated_run,
 )
-from tapping_cell.report.run_reader import IllustratedRun, read_illustrated_run
+from tapping_cell.report.run_reader import IllustratedRun
 
 COMPARISON = "comparison.html"
 
@@ -67,7 +62,6 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the verb. Return 0 if all runs were reported, 1 if some are unreadable, 2 if all are."""
     console = Console(stderr=arguments.json)
     reports: list[tuple[Run, Path]] = []
-    arranged: list[Path] = []
     skipped = 0
     several = len(arguments.runs) > 1
     shown = console.is_terminal and several
@@ -80,34 +74,31 @@ def run(arguments: argparse.Namespace) -> int:
             )
             continue
         try:
-            if is_arrangement(path):
-                arranged.append(write_arrangement(path, None if several else arguments.output))
-                continue
             reports.append(write_report(path, None if several else arguments.output))
         except (BagError, RunError, OSError) as error:
             print_error(str(error))
-    if not reports and not arranged:
+    if not reports:
         if skipped == len(arguments.runs):
             print_error("none of these is a run folder; give folders such as those in runs")
         return 2
+    notes = [f"{run.name}: {run.note}" for run, _ in reports if run.note]
+    for note in notes:
+        console.print(f"incomplete: {note}", highlight=False, markup=False, soft_wrap=True)
     rows = [row_of(run) for run, _ in reports]
-    written = [*arranged, *(folder / PAGE for _, folder in reports[:1])]
+    written = reports[0][1] / PAGE
     if len(reports) > 1:
-        written[-1] = compare(reports, arguments.output or reports[0][1].parent)
+        written = compare(reports, arguments.output or reports[0][1].parent)
     if arguments.json:
         figures = {
             "runs": [_plain(row) for row in rows],
             "groups": [_plain(group) for group in groups_of(rows)],
-            "arrangements": [str(page) for page in arranged],
-            "page": str(written[-1]),
+            "page": str(written),
         }
         print(json.dumps(figures, indent=2, allow_nan=False))
     else:
-        if rows:
-            console.print(table_of(rows))
-        for page in written:
-            console.print(f"see {page}", highlight=False, soft_wrap=True)
-    return 0 if len(reports) + len(arranged) + skipped == len(arguments.runs) else 1
+        console.print(table_of(rows))
+        console.print(f"see {written}", highlight=False, soft_wrap=True)
+    return 0 if len(reports) + skipped == len(arguments.runs) else 1
 
 
 def no_run(path: Path) -> bool:
@@ -115,22 +106,7 @@ def no_run(path: Path) -> bool:
     that contains neither a bag nor a summary, such as the folder of nodes' logs."""
     if path.is_file():
         return path.suffix != ".mcap"
-    return _is_run_folder(path) and not any(
-        (path / name).exists() for name in (BAG, SUMMARY, ARRANGEMENT)
-    )
-
-
-def is_arrangement(path: Path) -> bool:
-    """Return whether a run is an arrangement of several objects.
-
-    Raises:
-        BagError: the bag is unreadable.
-    """
-    if (path / ARRANGEMENT).exists() or (path / SUMMARY).exists():
-        return (path / ARRANGEMENT).exists()
-    bag = path / BAG if (path / BAG).is_dir() else path
-    holds_bag = bag.is_file() or any(bag.glob("*.mcap"))
-    return holds_bag and holds_arrangement(bag)
+    return _is_run_folder(path) and not any((path / name).exists() for name in (BAG, SUMMARY))
 
 
 def write_report(path: Path, output: Path | None) -> tuple[Run, Path]:
@@ -141,18 +117,10 @@ def write_report(path: Path, output: Path | None) -> tuple[Run, Path]:
     """
     is_folder = _is_run_folder(path)
     has_bag = is_folder and (path / BAG).is_dir()
-    if has_bag and output is None:
-        return write_folder(path), path
-    if has_bag:
-        illustrated = read_illustrated_run(path / BAG, path.name)
-    elif is_folder:
-        illustrated = IllustratedRun(read_run(path), ())
-    else:
-        own = path if path.is_dir() else path.parent
-        illustrated = read_illustrated_run(
-            path, (own.parent if own.name == BAG else own).resolve().name
-        )
+    illustrated = None if has_bag or not is_folder else IllustratedRun(read_run(path), ())
     folder = _report_folder(path, output)
+    if illustrated is None:
+        return write_folder(folder, source=path / BAG if has_bag else path), folder
     write_illustrated_run(folder, illustrated)
     return illustrated.run, folder
 
@@ -169,25 +137,12 @@ def _report_folder(path: Path, output: Path | None) -> Path:
     return folder
 
 
-def write_arrangement(path: Path, output: Path | None) -> Path:
-    """Rewrite the files of an arrangement of several objects. Return the path of its page.
-
-    Raises:
-        BagError, RunError, OSError: the arrangement is unreadable, or a file cannot be written.
-    """
-    is_folder, folder = _is_run_folder(path), _report_folder(path, output)
-    if is_folder and not (path / BAG).is_dir():
-        return write_page(read_arrangement(path), folder)
-    write_arrangement_folder(folder, source=path / BAG if is_folder else path)
-    return folder / PAGE
-
-
 def compare(reports: list[tuple[Run, Path]], folder: Path) -> Path:
     """Write the page that compares runs, replacing an earlier comparison."""
     folder.mkdir(parents=True, exist_ok=True)
     links = [os.path.relpath(own / PAGE, folder) for _, own in reports]
     page = folder / COMPARISON
-    page.write_text(comparison_page([run for run, _ in reports], links), encoding="utf-8")
+    replace_text(page, comparison_page([run for run, _ in reports], links))
     return page
 
 

@@ -202,7 +202,7 @@ def cancel(client: ActionFollower[Any], what: str, console: Console) -> int:
 
 
 def wait_for_record(
-    client: GoalClient, patience: float, check: Callable[[], None], console: Console
+    client: ActionFollower[Any], patience: float, check: Callable[[], None], console: Console
 ) -> Path:
     """Return the folder of the last run once the recorder has written it.
 

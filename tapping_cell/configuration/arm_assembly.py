@@ -7,11 +7,11 @@ from collections.abc import Callable
 from typing import cast
 
 from tapping_cell.configuration.cell import ArmSection, Ros2ControlSection
+from tapping_cell.hardware import controllers
 from tapping_cell.hardware.arm import ArmDriver
 from tapping_cell.hardware.chain_link import ChainLink, ChainSettings
+from tapping_cell.hardware.controllers import ControllerWiring
 from tapping_cell.hardware.dialect import ArmDialect
-from tapping_cell.hardware.grbl_dialect import GrblDialect, GrblSettings
-from tapping_cell.hardware.marlin_dialect import MarlinDialect, MarlinSettings
 from tapping_cell.hardware.ros2_control_dialect import Ros2ControlDialect, Ros2ControlSettings
 from tapping_cell.hardware.scara import Joints
 from tapping_cell.hardware.trajectory_link import TrajectoryLink
@@ -62,23 +62,15 @@ def make_dialect(
             link = ChainLink(link, chain, arm.geometry(), upright)
         return Ros2ControlDialect(link, _trajectory_settings(arm, arm.ros2_control))
     transport = cast(Transport, connection)
-    needs = arm.controller_needs()
-    if arm.dialect == "marlin":
-        settings = MarlinSettings(letters=arm.axis_letters, needs=needs)
-        return MarlinDialect(transport, settings, draw_number)
-    # $13 = 0 makes the controller report in mm and degrees.
-    expected = {13: 0.0} | {int(number): value for number, value in arm.grbl_settings}
-    return GrblDialect(
-        transport,
-        GrblSettings(
-            letters=arm.axis_letters,
-            expected=expected,
-            needs=needs,
-            home_place=arm.home_place,
-            without_switch=tuple(Joints._fields.index(name) for name in arm.axes_without_switch),
-            needs_homing=arm.homing == "firmware",
-        ),
+    wiring = ControllerWiring(
+        letters=arm.axis_letters,
+        needs=arm.controller_needs(),
+        settings={int(number): value for number, value in arm.grbl_settings},
+        home_place=arm.home_place,
+        without_switch=tuple(Joints._fields.index(name) for name in arm.axes_without_switch),
+        needs_homing=arm.homing == "firmware",
     )
+    return controllers.make_dialect(arm.dialect, transport, wiring, draw_number)
 
 
 def _trajectory_settings(arm: ArmSection, section: Ros2ControlSection) -> Ros2ControlSettings:

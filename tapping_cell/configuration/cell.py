@@ -24,6 +24,7 @@ from tapping_cell.hardware.arm_shape import ArmShape
 from tapping_cell.hardware.axis_units import check_letters
 from tapping_cell.hardware.chain_urdf import chain_from_urdf
 from tapping_cell.hardware.controller_needs import ControllerNeeds, needs_of
+from tapping_cell.hardware.controllers import CONTROLLERS
 from tapping_cell.hardware.energy import EnergyCurve
 from tapping_cell.hardware.fixed_urdf import MountedTapper
 from tapping_cell.hardware.motion import MotionSettings
@@ -38,6 +39,9 @@ from tapping_cell.vision import CameraModel, ReferenceMap, marker_ids
 FourNumbers = tuple[float, float, float, float]
 ARM_TAPPER = "tapper"
 """Name of the tapper that the arm carries."""
+MOST_ENERGY = 1.2
+"""Maximum ratio of the striker's kinetic energy to the charged energy. It would be 1 without the
+error of a calibration: the calibrated energy is proportional to the assumed friction."""
 LONGEST_FLIGHT_S = 2.0
 """Maximum time of flight of a striker, in s. The arm must stand still during the flight."""
 
@@ -247,8 +251,7 @@ class ArmSection:
     )
     dialect: str = choice(
         "protocol of the arm's controller; ros2_control if the arm has a ROS driver of its own",
-        "grbl",
-        "marlin",
+        *CONTROLLERS,
         "ros2_control",
     )
     ros2_control: Ros2ControlSection | None = section(
@@ -612,9 +615,26 @@ class TapperSection:
         """Return the calibration curve of striker speed against energy.
 
         Raises:
-            ValueError: the two lists differ in length or are not increasing.
+            ValueError: the two lists differ in length or are not increasing, or the striker would
+                have more energy than was charged.
         """
-        return EnergyCurve(tuple(zip(self.energies, self.speeds, strict=True)))
+        if len(self.energies) != len(self.speeds):
+            raise ValueError(
+                f"tapper.energies has {len(self.energies)} values, but tapper.speeds has "
+                f"{len(self.speeds)}; give one speed for each energy"
+            )
+        curve = EnergyCurve(tuple(zip(self.energies, self.speeds, strict=True)))
+        for energy, speed in curve.table:
+            kinetic = 0.5 * self.mass * speed**2
+            if kinetic > MOST_ENERGY * energy:
+                raise ValueError(
+                    f"at {speed:g} m/s ('tapper.speeds') a striker of {self.mass:g} kg "
+                    f"('tapper.mass') has m v^2 / 2 = {1e3 * kinetic:.4g} mJ, more than the "
+                    f"charged {1e3 * energy:.4g} mJ ('tapper.energies'); check the units J, m/s "
+                    "and kg, and after calibrate tapper the friction in the object file, which is "
+                    f"then at least {kinetic / energy:.3g} times too high"
+                )
+        return curve
 
     def output_settings(self) -> OutputTapperSettings:
         """Return pulses and latency of the digital output.
@@ -965,7 +985,7 @@ def load_cell(path: Path | str | None = None, object_path: Path | str | None = N
     )
     for name, tapper in cell.tapper_sections.items():
         try:
-            tapper.striker()
+            cell.object.check_impact(tapper.striker())
             tapper.curve()
         except ValueError as error:
             raise ConfigurationError(f"{cell_path}: tapper '{name}': {error}") from error

@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
@@ -20,6 +19,7 @@ from tapping_cell.configuration.assembly import (
 from tapping_cell.configuration.cell import LONGEST_FLIGHT_S, Cell, load_further_objects
 from tapping_cell.configuration.chain_reach import chain_reach
 from tapping_cell.configuration.schema import ConfigurationError
+from tapping_cell.hardware.port_names import device_of, is_windows_name, port_problem
 from tapping_cell.mechanics import MechanicsError
 from tapping_cell.planning import FreeSpace, PlanningError, make_planner, planner_names
 from tapping_cell.planning.coverage import coverage
@@ -37,10 +37,11 @@ def conflicts(cell: Cell) -> tuple[list[str], list[str]]:
     reports a risk: a goal may fail, the quill may sink, or a port does not exist yet."""
     if cell.file.fixed_tappers is not None:
         errors = [*_markers(cell), *_fixed_tappers(cell), *_further_objects(cell)]
-        return errors, [*_lens(cell), *_noise(cell), *_ports(cell)]
+        errors += port_errors(cell)
+        return errors, [*_noise(cell), *_missing_ports(cell)]
     errors = [*_markers(cell), *_heights(cell), *_joints(cell), *_curve(cell), *_planner(cell)]
-    errors += _further_objects(cell)
-    warnings = [*_lens(cell), *_noise(cell), *_ports(cell), *_brake(cell)]
+    errors += [*_further_objects(cell), *port_errors(cell)]
+    warnings = [*_noise(cell), *_missing_ports(cell), *_brake(cell)]
     reach_errors, reach_warnings = _reach(cell)
     return errors + reach_errors, [*warnings, *reach_warnings, *chain_reach(cell)]
 
@@ -56,15 +57,6 @@ def _markers(cell: Cell) -> Iterator[str]:
                 f"{cell.object_path}: key 'marker.id' is {marker.id}, which is a reference marker "
                 f"of the table too ({min(taken)} to {max(taken)}); give the object another id"
             )
-    half = marker.size / 2 * math.sqrt(2)
-    reach = max(math.hypot(x, y) for x, y in cell.outline())
-    off = math.hypot(*marker.offset[:2])
-    if off + half > reach + 1e-9:
-        yield (
-            f"{cell.object_path}: the marker of {1e3 * marker.size:.1f} mm at {1e3 * off:.1f} mm "
-            "from the centre extends beyond the object's outline, whose largest radius is "
-            f"{1e3 * reach:.1f} mm; use a smaller marker"
-        )
 
 
 def _further_objects(cell: Cell) -> Iterator[str]:
@@ -266,28 +258,6 @@ def _fixed_tappers(cell: Cell) -> Iterator[str]:
         )
 
 
-def _lens(cell: Cell) -> Iterator[str]:
-    camera = cell.camera
-    matrix = camera.matrix
-    file = cell.path.parent / cell.file.camera_info
-    for name, value, size in (
-        ("column", float(matrix[0, 2]), camera.width),
-        ("row", float(matrix[1, 2]), camera.height),
-    ):
-        if not size / 4 <= value <= 3 * size / 4:
-            yield (
-                f"{file}: the principal point's {name} {value:.0f} is far from the image's "
-                f"centre ({size / 2:.0f}): image_width, image_height and camera_matrix may belong "
-                "to different resolutions"
-            )
-    ratio = float(matrix[0, 0] / matrix[1, 1])
-    if not 0.9 < ratio < 1.1:
-        yield (
-            f"{file}: the focal lengths differ by a factor of {ratio:.2f}; square pixels give "
-            "nearly 1; run calibrate camera"
-        )
-
-
 def _noise(cell: Cell) -> Iterator[str]:
     noise, (distance, angle) = cell.file.camera, cell.tolerance
     for name, spread, limit, unit, factor in (
@@ -314,18 +284,42 @@ def _brake(cell: Cell) -> Iterator[str]:
         )
 
 
-def _ports(cell: Cell) -> Iterator[str]:
-    boards: dict[str, list[str]] = {}
+def _ports_by_name(cell: Cell) -> dict[str, list[str]]:
+    """Return the parts of the cell at each port. Tappers of one board have the same port."""
+    parts: dict[str, list[str]] = {}
     for name, tapper in cell.tapper_sections.items():
-        boards.setdefault(tapper.port, []).append(name)
-    arm = cell.file.arm
-    if arm is not None:
-        if arm.port and arm.port in boards:
-            yield f"{cell.path}: arm and tapper have the same port {arm.port}; give each its own"
-        boards.setdefault(arm.port, []).append("arm")
-    for port, names in boards.items():
-        if port and not Path(port).expanduser().exists():
-            yield (
-                f"{cell.path}: the port {port} of {', '.join(names)} does not exist (yet): "
-                "a simulated port is created by sim_world; a real device must be plugged in"
+        parts.setdefault(tapper.port, []).append(name)
+    if cell.file.arm is not None:
+        parts.setdefault(cell.file.arm.port, []).append("arm")
+    parts.pop("", None)
+    return parts
+
+
+def port_errors(cell: Cell) -> list[str]:
+    """Return the errors in the names of the ports: names of Windows, and one device for two parts
+    of the cell, also if different links name it."""
+    found = []
+    devices: dict[str, tuple[str, list[str]]] = {}
+    for port, names in _ports_by_name(cell).items():
+        if is_windows_name(port):
+            found.append(f"{cell.path}: the port {port} of {', '.join(names)} {port_problem(port)}")
+            continue
+        if "arm" in names and len(names) > 1:
+            found.append(
+                f"{cell.path}: {' and '.join(sorted(names))} have the same port {port}; give each "
+                "its own"
             )
+        other, its = devices.setdefault(device_of(port), (port, names))
+        if other != port:
+            found.append(
+                f"{cell.path}: the port {other} of {', '.join(its)} and the port {port} of "
+                f"{', '.join(names)} are the same device {device_of(port)}; give each its own, or "
+                "the tappers of one board the same name"
+            )
+    return found
+
+
+def _missing_ports(cell: Cell) -> Iterator[str]:
+    for port, names in _ports_by_name(cell).items():
+        if not is_windows_name(port) and (problem := port_problem(port)):
+            yield f"{cell.path}: the port {port} of {', '.join(names)} {problem}"

@@ -7,6 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import cv2
+import numpy as np
+
 from tapping_cell.configuration.provenance import Provenance
 from tapping_cell.configuration.schema import (
     ConfigurationError,
@@ -109,6 +112,67 @@ class OutlineSection:
     )
 
 
+LIGHTEST, HEAVIEST = 200.0, 23_000.0
+"""Limits of an object's density, kg/m^3: light wood, and more than tungsten or gold."""
+MATERIALS = {
+    "alumin": 2700.0,
+    "steel": 7850.0,
+    "brass": 8500.0,
+    "copper": 8960.0,
+    "plexiglas": 1190.0,
+    "acrylic": 1190.0,
+}
+"""Density, kg/m^3, of materials by a part of their names."""
+_SLIPS = {
+    0.25: "the radius may be a diameter, or the corners twice too far from the centre",
+    4.0: "the radius may be half the true one, or the corners twice too near to the centre",
+    0.1: "mass or height may be wrong by a factor of 10",
+    10.0: "mass or height may be wrong by a factor of 10",
+}
+"""Common mistakes, by the ratio of the resulting density to the true one."""
+
+
+def _area(shape: ShapeSection) -> float:
+    """Return the area of the outline, m^2."""
+    if shape.radius is not None:
+        return math.pi * shape.radius**2
+    points = shape.vertices or ()
+    turned = (*points[1:], *points[:1])
+    return 0.5 * abs(sum(a[0] * b[1] - a[1] * b[0] for a, b in zip(points, turned, strict=True)))
+
+
+OVERLAP = 0.001
+"""Distance, m, by which a corner of the marker may extend beyond the outline: the error of a
+measured outline."""
+
+
+def _check_marker(shape: ShapeSection, marker: MarkerSection) -> None:
+    """Raise ValueError if the marker extends beyond the object's outline."""
+    x, y, theta = marker.offset
+    half = 0.5 * marker.size
+    cos, sin = math.cos(theta), math.sin(theta)
+    for a, b in ((half, half), (-half, half), (-half, -half), (half, -half)):
+        corner = (x + cos * a - sin * b, y + sin * a + cos * b)
+        beyond = _beyond(shape, corner)
+        if beyond > OVERLAP:
+            raise ValueError(
+                f"the marker of {1e3 * marker.size:.1f} mm at {1e3 * math.hypot(x, y):.1f} mm from "
+                f"the centre extends beyond the object's outline by {1e3 * beyond:.1f} mm; correct "
+                "'marker.size' (m, side of the black square), 'marker.offset' or 'shape' (radius, "
+                "not diameter), or use a smaller marker"
+            )
+
+
+def _beyond(shape: ShapeSection, point: tuple[float, float]) -> float:
+    """Return the distance, m, of a point from a convex outline; negative or 0 inside."""
+    if shape.radius is not None:
+        return math.hypot(*point) - shape.radius
+    outline = np.array(shape.vertices, dtype=np.float32)
+    if len(outline) < 3:
+        return 0.0  # reported for the shape
+    return -cv2.pointPolygonTest(outline, point, measureDist=True)
+
+
 def seen_as(
     shape: ShapeSection,
     height: float,
@@ -127,6 +191,7 @@ def seen_as(
             "object without a marker, detected by its shape)"
         )
     if marker is not None:
+        _check_marker(shape, marker)
         return ObjectMarker(marker.dictionary, marker.id, marker.size, height, marker.offset)
     assert outline is not None
     dot = None
@@ -231,6 +296,44 @@ class ObjectFile:
     calibration: Provenance | None = section(
         "record of the fit, written by the verb fit", default=None
     )
+
+    def __post_init__(self) -> None:
+        """Raise ValueError if mass and dimensions give an impossible density."""
+        area = _area(self.shape)
+        if not area > 0.0:
+            return  # reported for the shape
+        density = self.mass / (area * self.height)
+        lightest = 0.0 if self.shape.kind == "ring" else LIGHTEST
+        figures = (
+            f"mass {self.mass:g} kg, height {self.height:g} m and the area of the shape "
+            f"({1e4 * area:.4g} cm2) give a density of {density:.0f} kg/m3"
+        )
+        if not lightest <= density <= HEAVIEST:
+            raise ValueError(
+                f"{figures}, outside {LIGHTEST:.0f} to {HEAVIEST:.0f} kg/m3; check their units "
+                "(kg, m) and that 'radius' is not a diameter"
+            )
+        for word, usual in MATERIALS.items():
+            for ratio, cause in _SLIPS.items():
+                if word in self.name.lower() and abs(density / usual / ratio - 1.0) < 0.15:
+                    raise ValueError(
+                        f"{figures}, but the name says '{word}' ({usual:.0f} kg/m3): {cause}"
+                    )
+
+    def check_impact(self, striker: Striker) -> None:
+        """Raise ValueError if a central impact would give the object more energy than the striker
+        has."""
+        impact = self.tap(striker).impact
+        rim = impact.body.boundary(np.linspace(0.0, math.tau, 721))
+        near = float(np.linalg.norm(rim, axis=-1).min())
+        speed = impact.strike(1.0, 0.0, np.array([-near, 0.0])).velocity
+        ratio = self.mass * float(np.sum(np.square(speed))) / striker.mass
+        if ratio > 1.05:
+            raise ValueError(
+                f"'{self.name}': a central impact would give the object {ratio:.2f} times the "
+                f"energy of the striker of {striker.mass:g} kg; check 'mass', 'restitution' and "
+                "'impact_scale' of the object, and 'tapper.mass'"
+            )
 
     def body(self) -> Disk | Ring | Polygon:
         """Return the body of the mechanical model."""

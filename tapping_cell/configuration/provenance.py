@@ -8,9 +8,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from tapping_cell.configuration.schema import build, quantity, read_yaml, text
+from tapping_cell.configuration.yaml_document import format_yaml
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +44,7 @@ class Provenance:
 def provenance_yaml(record: Provenance, indent: int = 0) -> str:
     """Format the record as YAML text under the key ``calibration``, with every line indented."""
     content = {name: _plain(value) for name, value in asdict(record).items()}
-    dumped = yaml.safe_dump({"calibration": content}, sort_keys=False, width=96 - indent)
+    dumped = format_yaml({"calibration": content}, width=96 - indent)
     return "".join(" " * indent + line + "\n" for line in dumped.splitlines())
 
 

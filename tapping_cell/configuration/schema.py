@@ -18,7 +18,14 @@ from dataclasses import MISSING, dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
 
-import yaml
+from tapping_cell.configuration.hints import (
+    character_hint,
+    did_you_mean,
+    number_hint,
+    plain_characters,
+    unit_hint,
+)
+from tapping_cell.configuration.yaml_document import YamlError, parse_yaml
 
 Section = TypeVar("Section")
 
@@ -90,32 +97,6 @@ def section(description: str, default: Any = MISSING) -> Any:
     return field(default=default, metadata={"limits": Limits(description, numeric=False)})
 
 
-class _StrictLoader(yaml.SafeLoader):
-    """YAML loader that reads `1e-3` as a number and rejects duplicate keys."""
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        seen: set[Any] = set()
-        for key_node, _ in node.value:
-            key = self.construct_object(key_node, deep=deep)
-            if isinstance(key, (list, dict, set)):
-                raise yaml.constructor.ConstructorError(
-                    problem="a key must be a word or a number", problem_mark=key_node.start_mark
-                )
-            if key in seen:
-                raise yaml.constructor.ConstructorError(
-                    problem=f"the key '{key}' appears twice", problem_mark=key_node.start_mark
-                )
-            seen.add(key)
-        return super().construct_mapping(node, deep=deep)
-
-
-_StrictLoader.add_implicit_resolver(
-    "tag:yaml.org,2002:float",
-    re.compile(r"^[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$"),
-    list("-+.0123456789"),
-)
-
-
 LARGEST_FILE = 1_000_000
 """Maximum size of a file, in bytes. A larger file would take minutes to parse."""
 
@@ -134,26 +115,15 @@ def read_yaml(path: Path) -> Any:
                 f"{path}: has {size / 1e6:.1f} MB, but the limit is {LARGEST_FILE / 1e6:.0f} MB; "
                 "check that this is the intended file"
             )
-        return yaml.load(path.read_text(encoding="utf-8-sig"), _StrictLoader)
+        return parse_yaml(path.read_text(encoding="utf-8-sig"))
     except OSError as error:
         raise ConfigurationError(
             f"{path}: cannot be read ({error.strerror}); give the path of an existing YAML file"
         ) from error
     except UnicodeDecodeError as error:
         raise ConfigurationError(f"{path}: is not UTF-8 text; save it as UTF-8") from error
-    except yaml.YAMLError as error:
-        mark = getattr(error, "problem_mark", None)
-        where = f" at line {mark.line + 1}, column {mark.column + 1}" if mark else ""
-        problem = getattr(error, "problem", None) or "it cannot be parsed"
-        raise ConfigurationError(f"{path}: malformed YAML{where}: {problem}") from error
-    except RecursionError as error:
-        raise ConfigurationError(f"{path}: malformed YAML: nested too deeply") from error
-    except (ValueError, OverflowError) as error:
-        # The YAML parser raises these errors for an invalid date or a number with thousands of
-        # digits.
-        if isinstance(error, ConfigurationError):
-            raise
-        raise ConfigurationError(f"{path}: malformed YAML: {error}") from error
+    except YamlError as error:
+        raise ConfigurationError(f"{path}: {error}") from error
 
 
 def load(kind: type[Section], path: Path | str) -> Section:
@@ -179,8 +149,11 @@ def build(kind: type[Section], document: Any, source: str, key: str = "") -> Sec
     for name in document:
         if name not in fields:
             known = ", ".join(fields)
+            meant = (
+                did_you_mean(name, fields) or _place_of(name, hints) or character_hint(str(name))
+            )
             raise ConfigurationError(
-                f"{source}: unknown key '{_join(key, name)}'; the keys here are {known}"
+                f"{source}: unknown key '{_join(key, name)}'{meant}; the keys here are {known}"
             )
     values: dict[str, Any] = {}
     for name, entry in fields.items():
@@ -199,6 +172,17 @@ def build(kind: type[Section], document: Any, source: str, key: str = "") -> Sec
         raise
     except ValueError as error:
         raise ConfigurationError(f"{source}: {key or 'the document'}: {error}") from error
+
+
+def _place_of(name: object, hints: Mapping[str, Any]) -> str:
+    """Return a hint at the sections that have the key ``name``; empty if there are none."""
+    places = [
+        f"'{own}.{name}'"
+        for own, hint in hints.items()
+        for kind in (hint, *typing.get_args(hint))
+        if dataclasses.is_dataclass(kind) and name in {f.name for f in dataclasses.fields(kind)}
+    ]
+    return f"; did you mean {' or '.join(places)}? Check the indentation" if places else ""
 
 
 def _join(key: str, name: object) -> str:
@@ -251,6 +235,10 @@ def _value(hint: Any, value: Any, limits: Limits, source: str, key: str) -> Any:
         if len(value) > limits.longest or "\0" in value:
             wanted = f"a text of at most {limits.longest} characters, without NUL characters"
             raise _wrong(source, key, value, wanted, limits)
+        if value and (
+            value[0] != plain_characters(value[0]) or value[-1] != plain_characters(value[-1])
+        ):
+            raise _wrong(source, key, value, "a text in plain quotes or none", limits)
         if limits.choices and value not in limits.choices:
             raise _wrong(source, key, value, limits.range_text(), limits)
         return value
@@ -301,4 +289,27 @@ def _wrong(source: str, key: str, value: Any, wanted: str, limits: Limits) -> Co
         shown = f"{value[:LONGEST_SHOWN]!r}... ({len(value)} characters)"
     return ConfigurationError(
         f"{source}: key '{key}' is {shown}, but must be {wanted}: {limits.description}"
+        + _hint(value, wanted, limits)
     )
+
+
+def _hint(value: Any, wanted: str, limits: Limits) -> str:
+    """Return a hint at the likely mistake; empty if none is recognised."""
+    if limits.choices:
+        return did_you_mean(value, limits.choices) if isinstance(value, str) else ""
+    if isinstance(value, str):
+        value = value[:LONGEST_SHOWN]
+        if wanted == "true or false":
+            word = value.strip().lower()
+            known = {"yes": "true", "on": "true", "no": "false", "off": "false"}
+            return f"; write {known[word]}" if word in known else ""
+        if wanted.startswith("a list"):
+            return "; put the entries in brackets: [...]" if re.search("[0-9], ", value) else ""
+        return number_hint(value, limits.unit) if limits.numeric else character_hint(value)
+    if isinstance(value, (int, float)) and not isinstance(value, bool):
+        if wanted.startswith("a text"):
+            return "; put it in quotes"
+        if isinstance(value, float) and wanted == "a whole number" and value.is_integer():
+            return f"; write {value:.0f}"
+        return unit_hint(value, limits.unit, limits.minimum, limits.maximum)
+    return ""

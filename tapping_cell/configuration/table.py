@@ -6,7 +6,10 @@ import math
 from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
+from statistics import median
 from typing import Any
+
+import numpy as np
 
 from tapping_cell.configuration.provenance import Provenance
 from tapping_cell.configuration.schema import (
@@ -61,6 +64,7 @@ def load_reference_map(path: Path | str) -> ReferenceMap:
     except ValueError as error:
         raise ConfigurationError(f"{path}: key 'markers': {error}") from error
     _refuse_unplaced(content, path)
+    _refuse_odd_size(content, path)
     return references
 
 
@@ -91,6 +95,22 @@ def _refuse_unplaced(content: TableFile, path: Path | str) -> None:
             )
 
 
+MOST_DIFFERENT = 5.0
+"""Maximum ratio of a marker's size to the median size."""
+
+
+def _refuse_odd_size(content: TableFile, path: Path | str) -> None:
+    """Raise ConfigurationError for a marker whose size is probably in another unit."""
+    usual = median(entry.size for entry in content.markers)
+    for entry in content.markers:
+        if not 1.0 / MOST_DIFFERENT < entry.size / usual < MOST_DIFFERENT:
+            raise ConfigurationError(
+                f"{path}: the marker {entry.id} has a size of {1e3 * entry.size:.1f} mm, but most "
+                f"have {1e3 * usual:.1f} mm (limit: a factor of {MOST_DIFFERENT:g}); correct "
+                "'size', the side of the black square in m"
+            )
+
+
 def load_camera_model(path: Path | str) -> CameraModel:
     """Load a camera model from a ROS ``camera_info`` YAML file, as camera_calibration writes it.
 
@@ -114,9 +134,57 @@ def load_camera_model(path: Path | str) -> CameraModel:
             d=_numbers(document, "distortion_coefficients"),
             k=_numbers(document, "camera_matrix"),
         )
+        check_camera(camera)
         return replace(camera, deviations=_deviations(document))
     except (TypeError, ValueError) as error:
         raise ConfigurationError(f"{path}: {error}") from error
+
+
+MOST_OFF_CENTRE = 0.12
+"""Maximum distance of the principal point from the image's centre, as a fraction of the image's
+width or height."""
+OFF_CENTRE = 0.05
+"""The same limit if both coordinates are off by the same factor, as those of another resolution."""
+
+
+def check_camera(camera: CameraModel) -> None:
+    """Raise ValueError if the camera matrix belongs to an image of another size, the focal length
+    is implausible, or the image radius does not grow with the angle of the ray."""
+    column, row = camera.cx / (camera.width - 1), camera.cy / (camera.height - 1)
+    off = max(abs(column - 0.5), abs(row - 0.5))
+    same = abs(column - row) < 0.03
+    if off > (OFF_CENTRE if same else MOST_OFF_CENTRE):
+        raise ValueError(
+            f"key 'camera_matrix': the principal point ({camera.cx:.1f}, {camera.cy:.1f}) lies at "
+            f"{100 * column:.0f} % of the image's width and {100 * row:.0f} % of its height, but "
+            f"should be near its centre; the matrix fits an image of about {2 * camera.cx:.0f} x "
+            f"{2 * camera.cy:.0f} pixels, not {camera.width} x {camera.height}: correct "
+            "image_width and image_height, or calibrate the camera at this resolution"
+        )
+    ratio = camera.fx / camera.fy
+    if not 0.9 < ratio < 1.1:
+        raise ValueError(
+            f"key 'camera_matrix': the focal lengths {camera.fx:.1f} and {camera.fy:.1f} pixels "
+            f"differ by a factor of {ratio:.2f}; square pixels give nearly 1; calibrate the camera"
+        )
+    angle = math.degrees(2.0 * math.atan(0.5 * camera.width / camera.fx))
+    if not 2.0 <= angle <= 150.0:
+        raise ValueError(
+            f"key 'camera_matrix': the focal length of {camera.fx:g} pixels gives {camera.width} "
+            f"pixels an angle of view of {angle:.3g} degrees (limits 2 and 150); it must be in "
+            "pixels, at the resolution of the images"
+        )
+    edge = np.array([(s, t) for s in np.linspace(0.0, 1.0, 9) for t in (0.0, 1.0)])
+    rim = np.concatenate([edge, edge[:, ::-1]]) * [camera.width - 1, camera.height - 1]
+    along = np.linspace(0.0, 1.0, 65)[:, None, None] * camera.rays(rim)
+    points = camera.project(np.concatenate([along, np.ones_like(along[..., :1])], axis=-1))
+    radius = np.linalg.norm(points - [camera.cx, camera.cy], axis=-1)
+    if not np.all(np.diff(radius, axis=0) > 0.0):
+        raise ValueError(
+            "key 'distortion_coefficients': the distance of a point from the principal point does "
+            f"not grow with its angle inside the image (coefficients {list(camera.distortion)}); "
+            "calibrate the camera again, with views of the target in the corners of the image"
+        )
 
 
 def _entry(mapping: dict[str, Any], key: str, within: str = "") -> Any:

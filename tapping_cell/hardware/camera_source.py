@@ -17,6 +17,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from tapping_cell.vision.images import GreyImage, ImageRefused, read_photograph
+
 Picture = NDArray[np.uint8]
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm")
@@ -40,8 +42,8 @@ class SourceEnded(CameraSourceError):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frame:
-    """An 8-bit image (height, width) or (height, width, channels), its capture time (s, steady
-    clock), and a message about images that were skipped before it."""
+    """A grey 8-bit image (height, width), its capture time (s, steady clock), and a message about
+    the source."""
 
     picture: Picture
     captured: float
@@ -105,7 +107,7 @@ class Device:
             )
         now = time.monotonic()
         stamp = 1e-3 * self._capture.get(cv2.CAP_PROP_POS_MSEC)
-        return Frame(eight_bit(picture), captured_at(stamp, now))
+        return Frame(_grey(picture), captured_at(stamp, now))
 
     def close(self) -> None:
         """Release the device."""
@@ -149,12 +151,12 @@ class Playback:
         if wait > 0:
             time.sleep(wait)
         self._due = max(self._due, time.monotonic() - 1.0) + 1.0 / self._settings.rate
-        sentence = ""
+        sentences = [*picture.warnings]
         if left_out:
-            sentence = f"skipped files that cannot be decoded: {', '.join(left_out)}"
-        return Frame(picture, time.monotonic(), sentence)
+            sentences.insert(0, f"skipped files that cannot be decoded: {', '.join(left_out)}")
+        return Frame(picture.pixels, time.monotonic(), "; ".join(sentences))
 
-    def _next(self, left_out: list[str]) -> Picture | None:
+    def _next(self, left_out: list[str]) -> GreyImage | None:
         for picture in self._pictures:
             if not isinstance(picture, str):
                 return picture
@@ -165,14 +167,15 @@ class Playback:
         """Close the file; a folder is not kept open between images."""
         self._pictures = iter(())
 
-    def _all(self) -> Iterator[Picture | str]:
+    def _all(self) -> Iterator[GreyImage | str]:
         path = Path(self._name)
-        return _folder_pictures(path) if path.is_dir() else _video_pictures(path)
+        size = (self._settings.width, self._settings.height)
+        return _folder_pictures(path, size) if path.is_dir() else _video_pictures(path)
 
 
-def _folder_pictures(folder: Path) -> Iterator[Picture | str]:
+def _folder_pictures(folder: Path, size: tuple[int, int]) -> Iterator[GreyImage | str]:
     """Return an iterator over the images in order of name. In place of an image that cannot be
-    decoded, it yields the path of the file."""
+    decoded, it yields the path of the file. ``size``: width and height of the calibration."""
     try:
         files = sorted(file for file in folder.iterdir() if file.suffix.lower() in IMAGE_SUFFIXES)
     except OSError as error:
@@ -184,19 +187,25 @@ def _folder_pictures(folder: Path) -> Iterator[Picture | str]:
             f"the folder {folder} contains no images; give a folder with files of the types "
             f"{', '.join(IMAGE_SUFFIXES)}"
         )
-    return (_decoded(file) for file in files)
+    return _decoded(files, size)
 
 
-def _decoded(file: Path) -> Picture | str:
-    try:
-        picture = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
-    except cv2.error:
-        return str(file)
-    return str(file) if picture is None else eight_bit(picture)
+def _decoded(files: list[Path], size: tuple[int, int]) -> Iterator[GreyImage | str]:
+    bits = 8
+    for file in files:
+        try:
+            image = read_photograph(file, size, bits)
+        except ImageRefused:
+            yield str(file)
+            continue
+        bits = image.bits
+        yield image
 
 
-def _video_pictures(file: Path) -> Iterator[Picture]:
+def _video_pictures(file: Path) -> Iterator[GreyImage]:
     capture = cv2.VideoCapture(str(file))
+    # The lens model refers to the pixels as on the sensor.
+    capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)
     try:
         if not capture.isOpened():
             raise CameraSourceError(
@@ -207,19 +216,16 @@ def _video_pictures(file: Path) -> Iterator[Picture]:
             good, picture = capture.read()
             if not good:
                 return
-            yield eight_bit(picture)
+            yield GreyImage(_grey(picture))
     finally:
         capture.release()
 
 
-def eight_bit(picture: NDArray[Any]) -> Picture:
-    """Convert an image to 8 bits per channel; 16-bit values keep their upper 8 bits."""
-    if picture.dtype == np.uint16:
-        return np.asarray(picture >> 8, dtype=np.uint8)
-    if picture.dtype != np.uint8:
-        # Floating-point images have values from 0 to 1.
-        return np.asarray(np.clip(np.rint(picture * 255.0), 0, 255), dtype=np.uint8)
-    return np.asarray(picture, dtype=np.uint8)
+def _grey(picture: NDArray[Any]) -> Picture:
+    """Convert a frame that OpenCV has captured: 8 bits, grey or BGR."""
+    if picture.ndim == 2:
+        return np.asarray(picture, dtype=np.uint8)
+    return np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
 
 
 def captured_at(stamp: float, now: float) -> float:
@@ -246,11 +252,3 @@ def open_source(name: str, settings: CameraSettings) -> Device | Playback:
             "/dev/video0, a file or a folder"
         )
     return Playback(name, settings)
-
-
-def to_grey(picture: Picture) -> Picture:
-    """Convert an image of one, three (BGR) or four channels to one channel."""
-    if picture.ndim == 2:
-        return picture
-    code = cv2.COLOR_BGR2GRAY if picture.shape[2] == 3 else cv2.COLOR_BGRA2GRAY
-    return np.asarray(cv2.cvtColor(picture, code), dtype=np.uint8)

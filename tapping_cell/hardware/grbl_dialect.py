@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from tapping_cell.hardware import controller_needs, grbl
 from tapping_cell.hardware.axis_units import check_letters
 from tapping_cell.hardware.controller_needs import ControllerNeeds
+from tapping_cell.hardware.controllers import ControllerWiring
 from tapping_cell.hardware.dialect import AXIS_COUNT, Axes, AxisReading, Firmware
 from tapping_cell.hardware.faults import FaultReason, HardwareFault
 from tapping_cell.hardware.finding import Finding
@@ -885,3 +886,18 @@ def _moving(status: grbl.Status) -> bool:
     return status.state in ("Run", "Jog", "Home") or (
         status.state == "Hold" and status.substate != 0
     )
+
+
+def make_dialect(
+    transport: Transport, wiring: ControllerWiring, _: Callable[[int], int]
+) -> GrblDialect:
+    """Create the dialect for a cell (see ``controllers``)."""
+    settings = GrblSettings(
+        letters=wiring.letters,
+        expected={13: 0.0} | dict(wiring.settings),  # 13: 0 requires reports in mm and degrees
+        needs=wiring.needs,
+        home_place=wiring.home_place,
+        without_switch=wiring.without_switch,
+        needs_homing=wiring.needs_homing,
+    )
+    return GrblDialect(transport, settings)

@@ -11,6 +11,7 @@ from typing import TypeVar
 from tapping_cell.hardware import controller_needs, marlin
 from tapping_cell.hardware.axis_units import check_letters
 from tapping_cell.hardware.controller_needs import ControllerNeeds
+from tapping_cell.hardware.controllers import ControllerWiring
 from tapping_cell.hardware.dialect import AXIS_COUNT, Axes, AxisReading, Firmware
 from tapping_cell.hardware.faults import FaultReason, HardwareFault
 from tapping_cell.hardware.finding import Finding
@@ -654,3 +655,10 @@ def _rounding(steps: float) -> float:
     """Return the largest difference between reported position and step count of an axis at rest, in
     axis units: the rounding of the report to 0.01, and one step."""
     return 0.006 + 1 / steps
+
+
+def make_dialect(
+    transport: Transport, wiring: ControllerWiring, draw_number: Callable[[int], int]
+) -> MarlinDialect:
+    """Create the dialect for a cell (see ``controllers``)."""
+    return MarlinDialect(transport, MarlinSettings(wiring.letters, wiring.needs), draw_number)

@@ -15,6 +15,7 @@ import serial
 from serial.tools.list_ports import comports
 
 from tapping_cell.hardware.faults import FaultReason, HardwareFault
+from tapping_cell.hardware.port_names import port_problem
 
 POLL_SLICE = 0.02
 """Longest wait between checks of the stop latch, s."""
@@ -205,6 +206,10 @@ class SerialTransport:
                 FaultReason.PORT_MISSING,
                 f"{self._path} may not be opened by this user: add the user to the group that owns"
                 " it (often dialout) and log in again",
+            )
+        if problem := port_problem(self._path):
+            return HardwareFault(
+                FaultReason.PORT_MISSING, f"{self._path} cannot be opened: it {problem}"
             )
         return HardwareFault(
             FaultReason.PORT_MISSING,

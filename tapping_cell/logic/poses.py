@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from tapping_cell.messages import Point, Quaternion
 from tapping_cell.messages import Pose as PoseMessage
 from tapping_cell.se2 import Pose
+from tapping_cell.se2 import from_message as from_message
+from tapping_cell.se2 import is_finite as is_finite
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
@@ -26,13 +28,6 @@ def to_message(pose: Pose, height: float = 0.0) -> PoseMessage:
         position=Point(x=pose.x, y=pose.y, z=height),
         orientation=Quaternion(z=math.sin(pose.theta / 2), w=math.cos(pose.theta / 2)),
     )
-
-
-def from_message(message: PoseMessage) -> Pose:
-    """Return the planar part of a pose."""
-    q = message.orientation
-    theta = math.atan2(2 * (q.w * q.z + q.x * q.y), 1 - 2 * (q.y * q.y + q.z * q.z))
-    return Pose(message.position.x, message.position.y, theta)
 
 
 def compose(frame: PoseMessage, pose: PoseMessage) -> PoseMessage:
@@ -53,12 +48,6 @@ def _rotation(q: Quaternion) -> Rotation:
     from scipy.spatial.transform import Rotation
 
     return Rotation.from_quat([q.x, q.y, q.z, q.w])
-
-
-def is_finite(message: PoseMessage) -> bool:
-    """Return whether every number of a pose is finite."""
-    p, q = message.position, message.orientation
-    return all(math.isfinite(value) for value in (p.x, p.y, p.z, q.x, q.y, q.z, q.w))
 
 
 def quaternion_norm(message: PoseMessage) -> float:

@@ -28,7 +28,6 @@ import math
 from functools import lru_cache
 
 import numpy as np
-from scipy.ndimage import map_coordinates
 
 from tapping_cell.mechanics.bodies import Polygon
 from tapping_cell.mechanics.planar import Array, rotate, turn
@@ -213,6 +212,8 @@ class PolygonTable:
 
     def _cubic(self, phi: Array, alpha: Array, known: Array) -> Array:
         """Interpolate A, L, B and D, (4, n), in the values of one size (4, ratios, directions)."""
+        from scipy.ndimage import map_coordinates  # not at the top: most nodes never use it
+
         count = known.shape[2]
         turn = alpha * (self._fold * count / (2 * math.pi))
         turn -= count * np.floor(turn / count)
@@ -223,6 +224,8 @@ class PolygonTable:
     def _finer(self, table: Array) -> Array:
         """Interpolate the coarse table to the finer grid. In the finer grid, the last direction
         repeats the first."""
+        from scipy.ndimage import map_coordinates
+
         _, ratios, directions = self._shape
         grid = np.meshgrid(
             np.linspace(0, _RATIOS - 1, ratios),

@@ -13,6 +13,8 @@ from tapping_cell_msgs.action import PositionObject
 from tapping_cell_msgs.msg import ObjectGoal
 
 from tapping_cell.se2 import Pose
+from tapping_cell.se2 import from_message as from_message
+from tapping_cell.se2 import is_finite as is_finite
 
 
 def to_message(pose: Pose, height: float = 0.0) -> PoseMessage:
@@ -22,19 +24,6 @@ def to_message(pose: Pose, height: float = 0.0) -> PoseMessage:
     message.orientation.z = math.sin(pose.theta / 2)
     message.orientation.w = math.cos(pose.theta / 2)
     return message
-
-
-def from_message(message: PoseMessage) -> Pose:
-    """Return the planar part of a ROS pose."""
-    q = message.orientation
-    theta = math.atan2(2 * (q.w * q.z + q.x * q.y), 1 - 2 * (q.y**2 + q.z**2))
-    return Pose(message.position.x, message.position.y, theta)
-
-
-def is_finite(message: PoseMessage) -> bool:
-    """Return whether every number of a ROS pose is finite."""
-    p, q = message.position, message.orientation
-    return all(math.isfinite(value) for value in (p.x, p.y, p.z, q.x, q.y, q.z, q.w))
 
 
 def seconds(stamp: TimeMessage) -> float:

@@ -14,8 +14,9 @@ import traceback
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, Protocol, TypeVar, cast
 
+from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy
 from rclpy.task import Future
 from rclpy.topic_endpoint_info import TopicEndpointInfo
@@ -35,7 +36,6 @@ from tapping_cell.logic.host import (
     UnansweredRequest,
 )
 from tapping_cell.nodes.cell_node import CellNode, Parameters
-from tapping_cell.nodes.deferred_service import Respond, create_deferred_service
 from tapping_cell.nodes.kept_content import KeptContent
 from tapping_cell.nodes.message_conversion import Mirrored, from_ros, ros_class, to_ros
 from tapping_cell.nodes.worker import Worker
@@ -433,3 +433,53 @@ def _is_volatile(publisher: TopicEndpointInfo) -> bool:
     """Return whether a publisher is volatile: it does not resend its last value to a new
     subscription."""
     return publisher.qos_profile.durability is DurabilityPolicy.VOLATILE
+
+
+Respond = Callable[[Any], None]
+
+
+class _Sends(Protocol):
+    """Service for which rclpy's executor calls ``send_response`` with the value that the callback
+    has returned."""
+
+    send_response: Callable[[Any, Any], None]
+
+
+class _Later:
+    """Placeholder that the callback returns until the response is available."""
+
+    def __init__(self, send: Callable[[Any, Any], None]) -> None:
+        self._send = send
+        self._header: Any = None
+        self._response: Any = None
+
+    def respond(self, response: Any) -> None:
+        self._response = response
+        self._finish()
+
+    def addressed(self, header: Any) -> None:
+        self._header = header
+        self._finish()
+
+    def _finish(self) -> None:
+        if self._header is not None and self._response is not None:
+            self._send(self._response, self._header)
+
+
+def create_deferred_service(
+    node: Node, kind: Any, name: str, serve: Callable[[Any, Respond], None]
+) -> None:
+    """Create a service. ``serve`` receives each request together with a function that must be
+    called once, immediately or later, with the response.
+
+    rclpy has no such service: a coroutine that waits would block a single-threaded executor.
+    """
+
+    def callback(request: Any, _: Any) -> _Later:
+        later = _Later(send)
+        serve(request, later.respond)
+        return later
+
+    service = cast(_Sends, node.create_service(kind, name, callback))
+    send = service.send_response
+    service.send_response = lambda later, header: later.addressed(header)

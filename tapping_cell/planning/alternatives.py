@@ -24,9 +24,8 @@ TURNS = (1.0, 0.5, 0.0, -0.5, -1.0)
 CHUNK = 160
 
 LEAST = 80
-"""Minimum number of safe candidates in the first chunk; if fewer candidates are left, all of them.
-All candidates of a chunk are checked together. The minimum is doubled for each further chunk,
-because checking a chunk takes almost the same time whatever the size of the chunk."""
+"""Minimum number of safe candidates in the first chunk. It is doubled for each further chunk,
+because checking many candidates takes hardly longer than checking few."""
 
 Strikeable = Callable[[Array, Array], NDArray[np.bool_]]
 """Function that returns which displacements (n, 3) of objects at poses (n, 3) are possible,

@@ -59,8 +59,8 @@ LENGTHS = (8, 12)
 coarse grid, the second on the finer grids."""
 
 OUTER = 0.020
-"""The policy is also computed up to this distance, m, outside the working area, because a tap may
-move the object out of the area."""
+"""Width, m, of the border around the working area for which the policy is computed. A tap may move
+the object out of the area."""
 
 POINTS = (4, 8)
 """Numbers of equally likely points that represent a tap's scatter while solving: the first on the

@@ -53,13 +53,12 @@ POINTS = 24
 """Number of equally likely points that represent the scatter in a decision."""
 
 DEVIATIONS = 3.0
-"""A slide must stay on the table and off the keep-outs even if it deviates from the prediction by
-this number of standard deviations."""
+"""Number of standard deviations by which a slide may deviate and still stay on the table and off
+the keep-outs."""
 
 RETRIEVABLE = 1.5
-"""A slide must end where another tap can bring the object back even if it deviates from the
-prediction by this number of standard deviations. For an object that was never tapped, the upper
-bound of a slide is then 1.4 times the slide predicted from its file."""
+"""Number of standard deviations by which a slide may deviate and still end where a tap can bring
+the object back."""
 
 WAY = np.linspace(0.25, 1.0, 4)
 """Fractions of a slide at which the object's distance to the keep-outs is checked."""

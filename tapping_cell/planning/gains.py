@@ -47,7 +47,7 @@ DISTANCE = Prior(
     change=1,
     span=4.0,
 )
-"""Prior of ln(distance gain): a mixture of a narrow distribution (standard deviation 4 %), for an
+"""Prior of ln(distance gain). A mixture of a narrow distribution (standard deviation 4 %), for an
 object that matches its file, and a wide one, for a friction that differs from the file by a factor
 of up to 4."""
 

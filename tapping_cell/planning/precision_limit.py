@@ -10,9 +10,8 @@ from tapping_cell.planning.settings import PlannerSettings
 from tapping_cell.planning.stopping import inside_probability
 
 MIN_SHARE = 0.05
-"""Minimum share of the smallest taps that must end within the tolerance. If only one in twenty taps
-ends within the tolerance, a goal takes about forty taps, because each failed tap requires another
-tap away from the goal."""
+"""Minimum share of the smallest taps that end within the tolerance. With a share of one in twenty,
+a goal takes about forty taps."""
 
 
 def smallest_tap_share(settings: PlannerSettings) -> float:

@@ -32,8 +32,8 @@ from tapping_cell.se2 import Pose, difference, displaced, unit_vectors, wrap_ang
 METHOD = "prescribed"
 
 MODEL_DEVIATION = Scatter(distance=0.10, rotation=0.20, direction=math.radians(2.0))
-"""Standard deviations of the model's error. Errors of 20 % in friction, restitution and torque
-factor change the distance by about 30 %, that is, by three standard deviations of the distance."""
+"""Standard deviations of the model's error: a third of the change that errors of 20 % in friction,
+restitution and torque factor cause."""
 
 LARGEST_INCIDENCE = math.radians(60.0)
 """Largest allowed incidence. With a larger incidence, a striker slightly off its line may graze or

@@ -19,12 +19,7 @@ from tapping_cell.planning.interface import Array, Planner, Taps, TapValues
 from tapping_cell.planning.near_taps import NearTaps, best_first, near_taps
 from tapping_cell.planning.refusal import Refusal, RefusalReason
 from tapping_cell.planning.settings import CameraNoise, PlannerSettings
-from tapping_cell.planning.stopping import (
-    CONFIDENCE,
-    StoppingBox,
-    inside_probability,
-    stopping_box,
-)
+from tapping_cell.planning.stopping import StoppingBox, stopping_box
 from tapping_cell.planning.strike import BoolArray, StrikePlan, StrikeSpace
 from tapping_cell.planning.tap_times import TapTimes
 from tapping_cell.planning.visited import VisitedPoses
@@ -39,10 +34,6 @@ MISSED = 0.1
 ELSEWHERE = math.radians(20.0)
 """Minimum change of the tap's direction after a miss, because the same tap would miss again."""
 
-WORTH_OBSERVING = 0.02
-"""A longer observation is requested only if the probability that the object is within the tolerance
-is at least this value."""
-
 PROBE_SIZE = 1.5
 """Length of a probe tap, as a multiple of the smallest tap's length."""
 
@@ -55,11 +46,9 @@ UNKNOWN = 1.6
 is probed first. For an object that matches its file, the ratio is 1.2 after one tap."""
 
 JUDGING_ROTATION = ((3, 0.975), (6, 0.84))
-"""Criteria (number of taps, probability) for refusing an object that does not rotate. After this
-number of taps that are not outliers, the object is refused if its rotation gain is, with this
-probability, below the least gain. The second criterion is weaker, because further taps hardly
-improve the estimate of a gain slightly below the least gain. Without this criterion, a run with
-such an object would end only at the maximum number of taps."""
+"""Criteria for refusing an object that does not rotate: number of taps, and probability that its
+rotation gain is below the least gain. Without them, such a run would end only at the maximum number
+of taps."""
 
 MIN_ROTATION_GAIN = float(LOWEST[NAMES.index("rotation")])
 
@@ -268,20 +257,13 @@ class GoalSession(ABC):
         left = self.residual(object_pose)
         box = self.stopping(covariance)
         residual = Pose(*left.tolist())
-        probability = self._inside(left, covariance, box)
-        if probability >= CONFIDENCE and box.camera_suffices:
+        noise = self.settings.camera.covariance if covariance is None else covariance
+        found = self.settings.arrival(left, noise)
+        if found.done and box.camera_suffices:
             return Done(residual, box)
-        if observe_again and probability >= WORTH_OBSERVING:
-            return ObserveAgain(residual, probability)
+        if observe_again and found.doubtful:
+            return ObserveAgain(residual, float(found.probability))
         return None
-
-    def _inside(self, left: Array, covariance: ArrayLike | None, box: StoppingBox) -> float:
-        """Probability of being within the tolerance."""
-        settings = self.settings
-        spread = settings.camera.covariance if covariance is None else covariance
-        return float(
-            inside_probability(left, spread, settings.tolerance_position, settings.tolerance_angle)
-        )
 
     def _camera_refusal(self, left: Array, box: StoppingBox) -> Refusal | None:
         settings = self.settings
@@ -410,14 +392,6 @@ class PositioningSession(GoalSession):
     def method(self) -> str:
         """Name of the planning method, for records."""
         return self.planner.name
-
-    def _inside(self, left: Array, covariance: ArrayLike | None, box: StoppingBox) -> float:
-        """Return the probability of being within the tolerance. If the user set the size of the
-        box, return 1 inside the box and 0 outside it."""
-        if self.settings.box is not None:
-            inside = math.hypot(left[0], left[1]) <= box.distance and abs(left[2]) <= box.rotation
-            return float(inside)
-        return super()._inside(left, covariance, box)
 
     def _next_tap(self, pose: Array, left: Array) -> Strike | Refusal:
         return self._strike(pose, left, self._missed + self._skipped)

@@ -17,7 +17,14 @@ from numpy.typing import ArrayLike
 
 from tapping_cell.mechanics import Tap
 from tapping_cell.planning.errors import PlanningError
-from tapping_cell.planning.stopping import LONG_OBSERVATION, Array, StoppingBox, stopping_box
+from tapping_cell.planning.stopping import (
+    LONG_OBSERVATION,
+    Array,
+    Arrival,
+    StoppingBox,
+    arrival,
+    stopping_box,
+)
 
 VARIANTS = ("retreat", "overshoot")
 LARGEST_POSITION_TOLERANCE = 0.1
@@ -157,6 +164,12 @@ class PlannerSettings:
             self.camera.position / longer,
             self.camera.angle / longer,
             self.box,
+        )
+
+    def arrival(self, residual: ArrayLike, covariance: ArrayLike) -> Arrival:
+        """Decide whether objects are at their goals (see ``stopping.arrival``)."""
+        return arrival(
+            residual, covariance, self.tolerance_position, self.tolerance_angle, self.box
         )
 
     @classmethod

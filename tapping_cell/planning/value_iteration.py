@@ -216,21 +216,30 @@ def state_grid(
 ) -> tuple[Array, int]:
     """Return a grid from 0 through the edge of the box to ``farthest`` and the index of this edge.
 
-    The steps are uniform up to slightly beyond the box and the smallest tap; then they grow by
-    ``ratio``.
+    The steps are uniform up to twice the box and twice the smallest tap, and grow farther out.
     """
     step = box / FINE_STEPS
-    even = np.arange(0.0, max(2.0 * box, 2.0 * smallest) + step, step)
-    if even.size > 10 * FINE_STEPS:  # the stopping box is far smaller than the smallest tap
-        even = np.arange(0.0, 2.0 * box + step, step)
-    values = [*even.tolist()]
+    uniform = np.arange(0.0, 2.0 * max(box, smallest) + step, step)
+    if uniform.size > 10 * FINE_STEPS:
+        # The box is far smaller than the smallest tap, and the steps would be too many.
+        uniform = np.arange(0.0, 2.0 * box + step, step)
+    return np.array(_extended(uniform.tolist(), farthest, ratio)), FINE_STEPS
+
+
+def _extended(values: list[float], farthest: float, ratio: float) -> list[float]:
+    """Return a uniform grid with growing steps up to ``farthest`` appended.
+
+    A step is at most ``ratio`` squared times the step before it, until it is the share ``ratio`` -
+    1 of its grid value.
+    """
+    step = values[1] - values[0]
     while values[-1] < farthest:
         step = max(step, min(step * ratio**2, values[-1] * (ratio - 1.0)))
         values.append(values[-1] + step)
     values[-1] = farthest
-    if values[-1] - values[-2] < 0.5 * step:
+    if values[-1] - values[-2] < 0.5 * step:  # the cut left a short last step
         del values[-2]
-    return np.array(values), FINE_STEPS
+    return values
 
 
 def interpolation_weights(

@@ -23,8 +23,8 @@ RADIUS = 0.008
 80 mm slide has a standard deviation of 4 mm with the default scatter."""
 
 SHARE = 0.5
-"""The radius around a visited pose is at most this share of the pose's distance from the goal, so
-that taps close to the goal stay possible."""
+"""Largest radius around a visited pose, as a share of its distance from the goal. Taps close to the
+goal stay possible."""
 
 ANGLE = math.radians(15.0)
 """Rotation relative to a visited pose, rad, within which its cost applies."""

@@ -6,7 +6,6 @@ import math
 from typing import Any
 
 from tapping_cell.report.bag import Bag
-from tapping_cell.report.message_values import seconds_of
 from tapping_cell.report.run import Phase
 
 TRAVELS, LOWERS, CHARGES, SLIDES, WITHDRAWS, FLIES, MEASURES, PLANS, ASKS = (
@@ -26,6 +25,11 @@ point in the move."""
 _ARM_MOVING, _ARM_IN_POSITION, _ARM_WITHDRAWING = 4, 5, 6
 _TAPPER_CHARGING, _TAPPER_CHARGED, _TAPPER_FIRING = 2, 3, 4
 _PLAN_CONFIRMING, _PLAN_LOOKING = 10, 2
+
+
+def seconds_of(stamp: Any) -> float:
+    """Return a ROS time in s."""
+    return float(stamp.sec) + 1e-9 * float(stamp.nanosec)
 
 
 def activities(bag: Bag, began: float, ended: float) -> tuple[Phase, ...]:

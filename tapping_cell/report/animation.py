@@ -23,12 +23,12 @@ ARROW_MM = 42.0
 def animation(run: Run, plan: Plan) -> str:
     """Draw the animation into a plan of the table; return "" if no tap has a measured result."""
     taps = [tap for tap in run.taps if tap.seen]
-    if run.start is None or not taps:
+    if run.first.start is None or not taps:
         return ""
-    outline = np.asarray(run.outline, dtype=float).reshape(-1, 2)
+    outline = np.asarray(run.first.outline, dtype=float).reshape(-1, 2)
     total = TAP_S * len(taps) + END_S
-    if run.goal is not None:
-        plan.outline(outline, run.goal, GOAL, dashed=True, fill=0.15)
+    if run.first.goal is not None:
+        plan.outline(outline, run.first.goal, GOAL, dashed=True, fill=0.15)
     plan.outline(outline, taps[0].before, START)
     frames = [_frame(0.0, taps[0].before, taps[0].before.theta)]
     turned = taps[0].before.theta

@@ -7,14 +7,13 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure, SubFigure
+from matplotlib.figure import Figure
 from matplotlib.patches import Polygon, Rectangle
 
 from tapping_cell.planning.evaluation.arrangements import ArrangementTrial
 from tapping_cell.se2 import Array, Pose, transform_points
 
 MAX_SCENES = 6
-ROW_INCHES = 0.28
 _COLOURS = 10
 
 
@@ -30,37 +29,17 @@ def write_scenes(folder: Path, trials: Sequence[ArrangementTrial]) -> list[Path]
     return files
 
 
-def draw_scene(trial: ArrangementTrial, file: Path, table: Sequence[Sequence[str]] = ()) -> None:
-    """Draw one scene in three panels: at the start, half-way and at the end.
-
-    ``table``: rows of text below the panels, with the column names in the first row; empty for no
-    table.
-    """
-    below = ROW_INCHES * len(table)
-    figure = Figure(figsize=(13.0, 4.0 + below), layout="constrained")
-    panels: Figure | SubFigure = figure
-    if table:
-        panels, under = figure.subfigures(2, 1, height_ratios=(4.0, below))
-        _write_table(under.subplots(), table)
+def draw_scene(trial: ArrangementTrial, file: Path) -> None:
+    """Draw one scene in three panels: at the start, half-way and at the end."""
+    figure = Figure(figsize=(13.0, 4.0), layout="constrained")
     last = len(trial.history) - 1
     titles = ("before", f"after {last // 2} taps", f"after {last} taps ({trial.end})")
     for axes, number, title in zip(
-        panels.subplots(1, 3), (0, last // 2, last), titles, strict=True
+        figure.subplots(1, 3), (0, last // 2, last), titles, strict=True
     ):
         _draw(axes, trial, number)
         axes.set_title(title)
     figure.savefig(file, dpi=100)
-
-
-def _write_table(axes: Axes, rows: Sequence[Sequence[str]]) -> None:
-    axes.axis("off")
-    made = axes.table([list(row) for row in rows], loc="center", cellLoc="left", edges="horizontal")
-    made.auto_set_font_size(False)
-    made.set_fontsize(10)
-    for (row, _), cell in made.get_celld().items():
-        cell.set_height(1.0 / len(rows))
-        if row == 0:
-            cell.set_text_props(weight="bold")
 
 
 def _draw(axes: Axes, trial: ArrangementTrial, number: int) -> None:
@@ -68,6 +47,8 @@ def _draw(axes: Axes, trial: ArrangementTrial, number: int) -> None:
     edge = Rectangle((-length / 2, -width / 2), length, width, fill=False, edgecolor="black")
     axes.add_patch(edge)
     for index, (name, outline) in enumerate(trial.outlines.items()):
+        if name not in trial.history[0]:  # the object was not seen at the start
+            continue
         colour = f"C{index % _COLOURS}"
         if name in trial.goals:
             ground = _ground(outline, trial.goals[name])

@@ -39,7 +39,8 @@ from rosbags.typesys.store import Typestore
 from tapping_cell.report.message_types import MessageTypes
 
 _MAGIC = b"\x89MCAP0\r\n"
-_HEADER, _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _DATA_END = 1, 2, 3, 4, 5, 6, 15
+_HEADER, _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK = 1, 2, 3, 4, 5, 6
+_STATISTICS, _DATA_END = 11, 15
 """Record types of an MCAP file: https://mcap.dev/spec."""
 _DAMAGED = (KeyError, struct.error, UnicodeDecodeError, ReaderError)
 """Exceptions that can occur while a damaged file is read."""
@@ -189,12 +190,18 @@ class BagWriter:
 
 @dataclass(frozen=True, slots=True)
 class Bag:
-    """Contents of a bag. ``whole`` is False if the writer of the bag was killed before the end."""
+    """Contents of a bag. ``missing`` is a sentence about messages that were recorded but cannot be
+    read; it is empty for a complete bag."""
 
     path: Path
     messages: tuple[Recorded, ...]
-    whole: bool
+    missing: str
     _store: Typestore
+
+    @property
+    def whole(self) -> bool:
+        """Whether all recorded messages could be read."""
+        return not self.missing
 
     @property
     def topics(self) -> tuple[Topic, ...]:
@@ -250,7 +257,7 @@ def read_bag(path: Path) -> Bag:
     schemas: dict[int, tuple[str, str, str]] = {}
     channels: dict[int, Topic] = {}
     messages: list[Recorded] = []
-    whole = False
+    missing = f"the end of {file} is missing; it is cut off or still being written"
     try:
         with file.open("rb") as stream:
             for kind, body in _records(stream, file):
@@ -265,15 +272,18 @@ def read_bag(path: Path) -> Bag:
                 elif kind == _MESSAGE:
                     key, _, stamp = struct.unpack_from("<HIQ", body)
                     messages.append(Recorded(channels[key], stamp, bytes(body[22:])))
-                elif kind == _FOOTER:
-                    whole = True
+                elif kind == _STATISTICS:
+                    (written,) = struct.unpack_from("<Q", body)
+                    lost = max(0, written - len(messages))
+                    missing = f"{file} lacks {lost} of its {written} messages" if lost else ""
     except OSError as error:
         raise BagError(f"{file} cannot be read ({error.strerror})") from error
     except _DAMAGED as error:
         if not messages:
             raise BagError(f"{file} is damaged: {error}") from error
+        missing = f"{file} is damaged after {len(messages)} messages: {error}"
     messages.sort(key=lambda message: message.stamp)
-    return Bag(file, tuple(messages), whole, _store_of(schemas, file))
+    return Bag(file, tuple(messages), missing, _store_of(schemas, file))
 
 
 def recover(path: Path, target: Path) -> Bag:
@@ -317,8 +327,8 @@ def _synchronise(file: Path) -> None:
 def _records(stream: BinaryIO, file: Path) -> Iterator[tuple[int, memoryview]]:
     """Yield the records of an MCAP file, including those in chunks, up to the end of its data.
 
-    The footer is yielded last. A truncated record ends the iteration; all records before it are
-    complete.
+    The statistics are yielded last, if the file has its end. A truncated record ends the iteration;
+    all records before it are complete.
     """
     if stream.read(8) != _MAGIC:
         raise BagError(f"{file} is not an MCAP file")
@@ -335,12 +345,24 @@ def _records(stream: BinaryIO, file: Path) -> Iterator[tuple[int, memoryview]]:
         elif kind in (_SCHEMA, _CHANNEL, _MESSAGE):
             yield kind, body
         elif kind == _DATA_END:
-            # Skip the summary section, which repeats earlier records for random access.
-            stream.seek(-37, os.SEEK_END)
-            tail = stream.read()
-            if tail[:1] == bytes([_FOOTER]) and tail.endswith(_MAGIC):
-                yield _FOOTER, memoryview(b"")
+            # Of the summary section, which repeats earlier records for random access, only the
+            # statistics are needed.
+            rest = stream.read()
+            if rest[-37:-36] == bytes([_FOOTER]) and rest.endswith(_MAGIC):
+                yield _STATISTICS, _statistics(rest)
             return
+
+
+def _statistics(summary: bytes) -> memoryview:
+    """Return the body of the statistics record in the summary section; without one, a body that
+    states no messages."""
+    place = 0
+    while place + 9 <= len(summary):
+        kind, length = struct.unpack_from("<BQ", summary, place)
+        if kind == _STATISTICS:
+            return memoryview(summary)[place + 9 :]
+        place += 9 + length
+    return memoryview(bytes(8))
 
 
 def _in_chunk(body: memoryview) -> Iterator[tuple[int, memoryview]]:

@@ -11,6 +11,9 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon, Rectangle
 from matplotlib.ticker import MaxNLocator
 
+from tapping_cell.durable_file import part_of
+from tapping_cell.planning.evaluation.arrangements import ArrangementTrial
+from tapping_cell.report.arrangement_figures import draw_scene
 from tapping_cell.report.palette import GOAL, LINE, REST, START, STRIKE, TABLE, WAITING
 from tapping_cell.report.run import Run, TapRow
 from tapping_cell.report.words import counted, motion, remaining_error
@@ -20,7 +23,11 @@ MAX_IN_WORDS = 6
 
 
 def draw_cell(run: Run, path: Path) -> None:
-    """Write the figure of a run as PNG."""
+    """Write the figure of a run as PNG. With several objects, it shows the table at the start,
+    half-way and at the end."""
+    if len(run.objects) > 1:
+        draw_scene(_scene_of(run), path)
+        return
     figure = Figure(figsize=(14.0, 5.4), dpi=110, layout="constrained")
     grid = figure.add_gridspec(2, 3, width_ratios=(1.45, 1.1, 0.8))
     _draw_table(figure.add_subplot(grid[:, 0]), run)
@@ -28,15 +35,33 @@ def draw_cell(run: Run, path: Path) -> None:
     _draw_residuals(figure.add_subplot(grid[0, 2]), figure.add_subplot(grid[1, 2]), run)
     figure.supxlabel(_moves(run), fontsize=9)
     figure.suptitle(_headline(run), fontsize=13, fontweight="bold")
-    figure.savefig(path)
+    part = part_of(path)
+    figure.savefig(part, format="png")
+    part.replace(path)
+
+
+def _scene_of(run: Run) -> ArrangementTrial:
+    """Return the poses of all objects after each tap, true ones if they are known."""
+    scene = ArrangementTrial(
+        end="done" if run.reached else run.outcome,
+        goals={one.name: one.goal for one in run.objects if one.goal is not None},
+        outlines={one.name: np.asarray(one.outline).reshape(-1, 2) for one in run.objects},
+        table=run.table_size,
+    )
+    scene.history.append({one.name: one.start for one in run.objects if one.start is not None})
+    for tap in run.taps:
+        after = tap.true_pose or (tap.measured if tap.seen else tap.before)
+        scene.history.append({**scene.history[-1], tap.object_name: after})
+    return scene
 
 
 def _headline(run: Run) -> str:
+    one = run.first
     taps = counted(len(run.taps), "tap")
     result = f"goal reached in {taps}" if run.reached else f"{run.outcome} after {taps}"
-    if run.start is None or run.goal is None:
+    if one.start is None or one.goal is None:
         return result
-    return f"started {remaining_error(run.start, run.goal)} from the goal: {result}"
+    return f"started {remaining_error(one.start, one.goal)} from the goal: {result}"
 
 
 def _moves(run: Run) -> str:
@@ -57,33 +82,34 @@ def _mm(pose: Pose) -> tuple[float, float]:
 
 
 def _outline_at(run: Run, pose: Pose) -> Array:
-    return 1000 * transform_points(pose, np.asarray(run.outline).reshape(-1, 2))
+    return 1000 * transform_points(pose, np.asarray(run.first.outline).reshape(-1, 2))
 
 
 def _heading(run: Run, pose: Pose) -> Array:
     """Return a line from centre to rim along the object's x axis. The line shows the angle of a
     disk."""
-    reach = max((math.hypot(x, y) for x, y in run.outline), default=0.0)
+    reach = max((math.hypot(x, y) for x, y in run.first.outline), default=0.0)
     return 1000 * transform_points(pose, [[0.0, 0.0], [reach, 0.0]])
 
 
 def _draw_table(axes: Axes, run: Run) -> None:
+    one = run.first
     length, width = run.table_size
     x, y = 500 * length, 500 * width
     axes.add_patch(Rectangle((-x, -y), 2 * x, 2 * y, facecolor=TABLE, edgecolor=LINE))
-    poses = [(run.start, START, 1.0)] if run.start is not None else []
+    poses = [(one.start, START, 1.0)] if one.start is not None else []
     poses += [(tap.measured, REST, 0.35 + 0.5 * tap.number / len(run.taps)) for tap in _seen(run)]
     for pose, colour, alpha in poses:
         axes.add_patch(
             Polygon(_outline_at(run, pose), fill=False, edgecolor=colour, alpha=alpha, lw=1.2)
         )
         axes.plot(*_heading(run, pose).T, color=colour, alpha=alpha, lw=1.0)
-    if run.goal is not None:
-        at_goal = _outline_at(run, run.goal)
+    if one.goal is not None:
+        at_goal = _outline_at(run, one.goal)
         axes.add_patch(
             Polygon(at_goal, facecolor=GOAL, alpha=0.15, edgecolor=GOAL, lw=2.0, ls="--")
         )
-        axes.plot(*_heading(run, run.goal).T, color=GOAL, lw=2.0, ls="--")
+        axes.plot(*_heading(run, one.goal).T, color=GOAL, lw=2.0, ls="--")
     for tap in run.taps:
         _draw_strike(axes, tap.strike, tap.number)
     # Legend entries for the outlines.
@@ -107,15 +133,16 @@ def _draw_strike(axes: Axes, strike: Pose, number: int) -> None:
 
 
 def _draw_close_up(axes: Axes, run: Run) -> None:
-    tolerance = 1000 * run.tolerance[0]
-    ends = [pose for pose in (run.start, run.goal) if pose is not None]
-    if run.goal is not None:
-        axes.add_patch(Circle(_mm(run.goal), tolerance, facecolor=GOAL, alpha=0.2, edgecolor=GOAL))
-        axes.plot(*_mm(run.goal), marker="+", color=GOAL, ms=14, mew=2)
-        axes.annotate("goal", _mm(run.goal), (-8, -26), textcoords="offset points", color=GOAL)
-    if run.start is not None:
-        axes.plot(*_mm(run.start), marker="o", color=START, ms=6)
-        axes.annotate("start", _mm(run.start), (-4, 10), textcoords="offset points", color=START)
+    one = run.first
+    tolerance = 1000 * one.tolerance[0]
+    ends = [pose for pose in (one.start, one.goal) if pose is not None]
+    if one.goal is not None:
+        axes.add_patch(Circle(_mm(one.goal), tolerance, facecolor=GOAL, alpha=0.2, edgecolor=GOAL))
+        axes.plot(*_mm(one.goal), marker="+", color=GOAL, ms=14, mew=2)
+        axes.annotate("goal", _mm(one.goal), (-8, -26), textcoords="offset points", color=GOAL)
+    if one.start is not None:
+        axes.plot(*_mm(one.start), marker="o", color=START, ms=6)
+        axes.annotate("start", _mm(one.start), (-4, 10), textcoords="offset points", color=START)
     arrow = {"arrowstyle": "-|>", "color": REST, "lw": 1.5, "shrinkA": 0, "shrinkB": 0}
     for tap in _seen(run):
         axes.annotate("", xy=_mm(tap.measured), xytext=_mm(tap.before), arrowprops=arrow)
@@ -141,15 +168,16 @@ def _draw_close_up(axes: Axes, run: Run) -> None:
 
 
 def _draw_residuals(upper: Axes, lower: Axes, run: Run) -> None:
-    goal = run.goal
-    starts = [run.start] if run.start is not None else []
+    one = run.first
+    goal = one.goal
+    starts = [one.start] if one.start is not None else []
     poses = [*starts, *(tap.measured for tap in _seen(run))] if goal is not None else []
     numbers = range(1 - len(starts), len(poses) + 1 - len(starts))
     distance = [1000 * pose.distance_to(goal) for pose in poses if goal is not None]
     rotation = [abs(math.degrees(pose.rotation_to(goal))) for pose in poses if goal is not None]
     series = (
-        (upper, distance, 1000 * run.tolerance[0], "remaining distance (mm)"),
-        (lower, rotation, math.degrees(run.tolerance[1]), "remaining rotation (deg)"),
+        (upper, distance, 1000 * one.tolerance[0], "remaining distance (mm)"),
+        (lower, rotation, math.degrees(one.tolerance[1]), "remaining rotation (deg)"),
     )
     for axes, values, limit, label in series:
         axes.axhspan(0, limit, color=GOAL, alpha=0.15)

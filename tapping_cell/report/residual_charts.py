@@ -18,18 +18,18 @@ def residual_charts(runs: Sequence[Run], colours: Sequence[str]) -> list[dict[st
     """
     distances, rotations = [], []
     for run, colour in zip(runs, colours, strict=True):
-        goal = run.goal
-        if goal is None or run.start is None or not run.taps:
+        goal = run.first.goal
+        if goal is None or run.first.start is None or not run.taps:
             # A run without taps has no curve. It is left out, because a large distance at its start
             # would only compress the scale.
             continue
-        poses = [run.start, *(tap.measured for tap in run.taps)]
+        poses = [run.first.start, *(tap.measured for tap in run.taps)]
         distances.append((run.name, [1000 * pose.distance_to(goal) for pose in poses], colour))
         turns = [abs(math.degrees(pose.rotation_to(goal))) for pose in poses]
         rotations.append((run.name, turns, colour))
     if not distances:
         return []
-    far, turned = (max(run.tolerance[axis] for run in runs) for axis in (0, 1))
+    far, turned = (max(run.first.tolerance[axis] for run in runs) for axis in (0, 1))
     return [
         _chart("remaining distance (mm)", distances, 1000 * far),
         _chart("remaining rotation (deg)", rotations, math.degrees(turned)),

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import Any
 
+from tapping_cell.report import columns
+from tapping_cell.report.words import OUTCOMES, word
 from tapping_cell.se2 import Pose
 
 Outline = tuple[tuple[float, float], ...]
@@ -17,27 +20,36 @@ FAILED, CANCELED, REFUSED, UNFINISHED = "failed", "canceled", "refused", "unfini
 """Outcomes of a run; ``unfinished`` means that the end of the run was not recorded."""
 
 
+def _gain(meaning: str, name: str, unit: str = "", factor: float = 1.0) -> Any:
+    return columns.quantity(meaning, f"learnt_{name}{unit}", factor, ".5f", name, math.nan)
+
+
+def _offset(meaning: str, name: str) -> Any:
+    return _gain(meaning, name, "_deg_mm", math.degrees(1e-3))
+
+
 @dataclass(frozen=True, slots=True)
 class Learnt:
-    """Estimated properties of the object after a tap: expected values and standard deviations.
-
-    ``distance`` is the ratio of measured to modelled distance, and ``rotation`` the ratio of
-    measured to modelled rotation per distance. ``direction`` is in rad. ``offset_x`` is the
-    rotation per distance (rad/m) caused by a tap through the middle of the object in the object's
-    -y direction, and ``offset_y`` the one caused by such a tap in the object's +x direction.
-    Unknown values are NaN.
+    """Estimated properties of the object after a tap: expected values and standard deviations. NaN
+    if unknown.
     """
 
-    distance: float = math.nan
-    distance_deviation: float = math.nan
-    rotation: float = math.nan
-    rotation_deviation: float = math.nan
-    direction: float = math.nan
-    direction_deviation: float = math.nan
-    offset_x: float = math.nan
-    offset_x_deviation: float = math.nan
-    offset_y: float = math.nan
-    offset_y_deviation: float = math.nan
+    distance: float = _gain("ratio of measured to modelled distance", "distance")
+    distance_deviation: float = _gain("its standard deviation", "distance_deviation")
+    rotation: float = _gain("ratio of measured to modelled rotation per distance", "rotation")
+    rotation_deviation: float = _gain("its standard deviation", "rotation_deviation")
+    direction: float = _gain("error of direction", "direction", "_deg", math.degrees(1.0))
+    direction_deviation: float = _gain(
+        "its standard deviation", "direction_deviation", "_deg", math.degrees(1.0)
+    )
+    offset_x: float = _offset(
+        "rotation per distance of a tap through the middle in the object's -y direction", "offset_x"
+    )
+    offset_x_deviation: float = _offset("its standard deviation", "offset_x_deviation")
+    offset_y: float = _offset(
+        "rotation per distance of a tap through the middle in the object's +x direction", "offset_y"
+    )
+    offset_y_deviation: float = _offset("its standard deviation", "offset_y_deviation")
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,40 +57,96 @@ class TapRow:
     """One tap of a run, in m, rad and m/s. Poses are in the frame ``table``, and displacements
     along its axes.
 
-    ``measured`` is NaN if the object was not seen after the tap, because the goal ended before.
-    ``true_pose`` is None if unknown (on hardware). ``commanded_at``, ``fired_at`` and
-    ``at_rest_at`` are in s since the start of the run. These times and ``measured_speed`` are NaN
-    if unknown.
+    Each field declares its columns in ``taps.csv``. Times are in s since the start of the run.
     """
 
-    number: int
-    tap_id: int
-    method: str
-    before: Pose
-    commanded: Pose
-    predicted: Pose
-    measured: Pose
-    true_pose: Pose | None
-    strike: Pose
-    striker_speed: float
-    contact_angle: float
-    outcome: str
-    measured_speed: float = math.nan
-    commanded_at: float = math.nan
-    fired_at: float = math.nan
-    at_rest_at: float = math.nan
-    learnt: Learnt = field(default_factory=Learnt)
-    reason: str = ""
-    """Reason why the tap was not aimed straight at the goal; empty if it was aimed straight at the
-    goal, or if the reason is unknown."""
-    predicted_covariance: Covariance | None = None
-    """Covariance of ``predicted`` in x, y, theta (m, rad); None if unknown."""
-    tapper: str = ""
-    """Name of the tapper that struck; empty in a cell with one tapper."""
-    expected_taps: float = math.nan
-    """Expected number of taps to the goal, including this tap; NaN if unknown."""
-    expected_seconds: float = math.nan
-    """Expected time to the goal from the command of this tap, in s; NaN if unknown."""
+    number: int = columns.count("number of the tap in the run", "tap", "number")
+    tap_id: int = columns.count("id of the tap", "tap_id", "tap_id")
+    method: str = columns.text(
+        "planning method that chose the tap", "method", lambda record: str(record.planner)
+    )
+    outcome: str = columns.text(
+        "fired, not fired or unknown", "outcome", lambda record: word(OUTCOMES, int(record.outcome))
+    )
+    before: Pose = columns.pose("pose for which the tap was planned", "before_", "object_pose")
+    commanded: Pose = columns.pose(
+        "displacement that was requested from the model",
+        "commanded_d",
+        lambda record: Pose(float(record.dx), float(record.dy), float(record.dtheta)),
+    )
+    predicted: Pose = columns.pose("expected pose after the tap", "predicted_", "predicted_pose")
+    measured: Pose = columns.pose(
+        "measured pose after the tap; nan if the object was not seen again",
+        "measured_",
+        "measured_pose.pose",
+    )
+    true_pose: Pose | None = columns.pose("true pose after the tap; nan on hardware", "true_", None)
+    strike: Pose = columns.pose("pose of the striker's tip", "strike_", "strike_pose")
+    striker_speed: float = columns.quantity(
+        "commanded speed of the striker", "striker_speed_mm_s", 1e3, ".2f", "striker_speed"
+    )
+    contact_angle: float = columns.quantity(
+        "angle of incidence at the contact",
+        "contact_angle_deg",
+        math.degrees(1.0),
+        ".3f",
+        "contact_angle",
+    )
+    measured_speed: float = columns.quantity(
+        "measured speed of the striker; nan without a speed gate",
+        "measured_speed_mm_s",
+        1e3,
+        ".2f",
+        "measured_speed",
+        math.nan,
+    )
+    commanded_at: float = columns.quantity(
+        "time of the command", "commanded_at_s", 1.0, ".3f", None, math.nan
+    )
+    fired_at: float = columns.quantity(
+        "time of the release", "fired_at_s", 1.0, ".3f", None, math.nan
+    )
+    at_rest_at: float = columns.quantity(
+        "time at which the object was at rest again", "at_rest_at_s", 1.0, ".3f", None, math.nan
+    )
+    learnt: Learnt = columns.part("what was learnt about the object", Learnt, "learnt")
+    predicted_covariance: Covariance | None = columns.covariance(
+        "covariance of the expected pose", "predicted_", "predicted_covariance"
+    )
+    reason: str = columns.text(
+        "why the tap is not aimed straight at the goal; empty if it is",
+        "reason",
+        lambda record: str(record.reason),
+        "",
+    )
+    tapper: str = columns.text(
+        "tapper that struck; empty in a cell with one tapper",
+        "tapper",
+        lambda record: str(record.tapper),
+        "",
+    )
+    expected_taps: float = columns.quantity(
+        "expected number of taps to the goal, including this tap",
+        "expected_taps",
+        1.0,
+        ".3f",
+        "expected_taps",
+        math.nan,
+    )
+    expected_seconds: float = columns.quantity(
+        "expected time to the goal from the command of this tap",
+        "expected_s",
+        1.0,
+        ".3f",
+        "expected_seconds",
+        math.nan,
+    )
+    object_name: str = columns.text(
+        "object that was tapped", "object", lambda record: str(record.object_id), ""
+    )
+    purpose: str = columns.text(
+        "why this object was tapped now; empty with one object", "purpose", None, ""
+    )
 
     @property
     def seen(self) -> bool:
@@ -105,41 +173,65 @@ class ErrorEvent:
 
 
 @dataclass(frozen=True, slots=True)
+class RunObject:
+    """One object of a run. Poses in ``table``, m and rad; None if unknown.
+
+    ``outline``: corners in the object's frame, m. ``goal`` is also None for an object that may only
+    be moved out of the way. ``end``: last measured pose; ``end_true``: true pose at the end.
+    ``outcome``: state at the end in words; empty if the run has only one object.
+    """
+
+    name: str = ""
+    outline: Outline = ()
+    start: Pose | None = None
+    goal: Pose | None = None
+    end: Pose | None = None
+    end_true: Pose | None = None
+    tolerance: tuple[float, float] = (0.0, 0.0)
+    taps: int = 0
+    outcome: str = ""
+
+
+@dataclass(frozen=True, slots=True)
 class Run:
     """Record of one run from start to end, in m, rad and s. Poses are in the frame ``table``.
 
-    ``goal`` and ``start`` are None if unknown; ``seed`` is None on hardware. ``began`` is in s
-    since 1970. ``files`` contains the text of each configuration file.
+    ``objects``: the objects with a goal, and those that may be moved; the first one is ``first``.
+    ``seed`` is None on hardware. ``began`` is in s since 1970. ``files`` contains the text of each
+    configuration file. ``contacts``: names of the two objects of each true contact; None if
+    unknown.
     """
 
     name: str
-    goal: Pose | None
-    start: Pose | None
-    tolerance: tuple[float, float]
+    objects: tuple[RunObject, ...]
     taps: tuple[TapRow, ...]
-    final_measured: Pose | None
-    final_true: Pose | None
     outcome: str
     wall_time: float
     seed: int | None
     versions: dict[str, str]
     error_code: int
     error_msg: str
-    outline: Outline
     table_size: tuple[float, float]
     planner: str = ""
-    object_name: str = ""
     began: float = math.nan
     phases: tuple[Phase, ...] = ()
     activities: tuple[Phase, ...] = ()
     """Activities of the devices; empty if the devices were not recorded."""
     errors: tuple[ErrorEvent, ...] = ()
     files: dict[str, str] = field(default_factory=dict)
+    contacts: tuple[tuple[str, str], ...] | None = None
+    note: str = ""
+    """Why the files show less than the run had; empty if they show all of it."""
 
     @property
     def reached(self) -> bool:
-        """True if the object is at the goal by measurement and, if known, by ground truth."""
+        """True if all objects are at their goals by measurement and, if known, by ground truth."""
         return self.outcome == REACHED
+
+    @property
+    def first(self) -> RunObject:
+        """The object of a run with one object."""
+        return self.objects[0]
 
 
 @dataclass(frozen=True, slots=True)

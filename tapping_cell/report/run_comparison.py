@@ -4,7 +4,7 @@ plots."""
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from statistics import fmean
 
@@ -12,6 +12,7 @@ from tapping_cell.report.palette import SERIES
 from tapping_cell.report.rendering import render
 from tapping_cell.report.residual_charts import residual_charts
 from tapping_cell.report.run import Run
+from tapping_cell.report.words import counted
 from tapping_cell.se2 import Pose
 
 
@@ -39,19 +40,23 @@ def row_of(run: Run) -> Row:
         run.name,
         run.outcome,
         run.planner,
-        run.object_name,
+        run.first.name if len(run.objects) == 1 else counted(len(run.objects), "object"),
         len(run.taps),
-        *_to_go(run.start, run.goal),
-        *_to_go(run.final_measured, run.goal),
-        *_to_go(run.final_true, run.goal),
+        *_largest_residual((one.start, one.goal) for one in run.objects),
+        *_largest_residual((one.end, one.goal) for one in run.objects),
+        *_largest_residual((one.end_true, one.goal) for one in run.objects),
         run.wall_time,
     )
 
 
-def _to_go(pose: Pose | None, goal: Pose | None) -> tuple[float, float]:
-    if pose is None or goal is None:
-        return math.nan, math.nan
-    return 1000 * pose.distance_to(goal), abs(math.degrees(pose.rotation_to(goal)))
+def _largest_residual(pairs: Iterable[tuple[Pose | None, Pose | None]]) -> tuple[float, float]:
+    """Return the largest distance (mm) and rotation (degrees) of poses from their goals."""
+    left = [
+        (1000 * pose.distance_to(goal), abs(math.degrees(pose.rotation_to(goal))))
+        for pose, goal in pairs
+        if pose is not None and goal is not None
+    ]
+    return (max(d for d, _ in left), max(r for _, r in left)) if left else (math.nan, math.nan)
 
 
 @dataclass(frozen=True, slots=True)

@@ -89,27 +89,27 @@ def headline(run: Run) -> str:
 
 
 def _task(run: Run) -> str:
-    if run.start is None or run.goal is None:
+    if run.first.start is None or run.first.goal is None:
         return ""
-    return unbroken(f"Started {remaining_error(run.start, run.goal)} from the goal.")
+    return unbroken(f"Started {remaining_error(run.first.start, run.first.goal)} from the goal.")
 
 
 def _details(run: Run) -> list[str]:
     when = "time unknown"
     if math.isfinite(run.began):
         when = datetime.fromtimestamp(run.began).strftime("%d %B %Y, %H:%M:%S")
-    words = (when, run.object_name, run.planner and f"planner {run.planner}")
+    words = (when, run.first.name, run.planner and f"planner {run.planner}")
     return [word for word in words if word]
 
 
 def _results(run: Run) -> list[tuple[str, str, str]]:
     """Return name, value and note of every main result."""
-    limit, turn = 1000 * run.tolerance[0], math.degrees(run.tolerance[1])
+    limit, turn = 1000 * run.first.tolerance[0], math.degrees(run.first.tolerance[1])
     results = []
-    for name, pose in (("measured", run.final_measured), ("true", run.final_true)):
-        if pose is not None and run.goal is not None:
-            off = 1000 * pose.distance_to(run.goal)
-            angle = math.degrees(abs(pose.rotation_to(run.goal)))
+    for name, pose in (("measured", run.first.end), ("true", run.first.end_true)):
+        if pose is not None and run.first.goal is not None:
+            off = 1000 * pose.distance_to(run.first.goal)
+            angle = math.degrees(abs(pose.rotation_to(run.first.goal)))
             results.append((f"{name} distance", f"{off:.2f} mm", f"tolerance {limit:g} mm"))
             results.append((f"{name} rotation", f"{angle:.2f} deg", f"tolerance {turn:g} deg"))
     taps = len(run.taps)
@@ -120,20 +120,20 @@ def _results(run: Run) -> list[tuple[str, str, str]]:
 
 
 def _outline(run: Run) -> Array:
-    return np.asarray(run.outline, dtype=float).reshape(-1, 2)
+    return np.asarray(run.first.outline, dtype=float).reshape(-1, 2)
 
 
 def _table_plan(run: Run) -> Plan:
     """Create a plan of the table that contains all poses of the run."""
     half = 500 * np.asarray(run.table_size)
     measured = (tap.measured for tap in run.taps if tap.seen)
-    places = [pose for pose in (run.start, run.goal, *measured) if pose]
+    places = [pose for pose in (run.first.start, run.first.goal, *measured) if pose]
     low, high = -half - 12, half + 12
-    if run.goal is not None and half.any():
+    if run.first.goal is not None and half.any():
         # A rejected goal may be outside the table, so the plan is extended to the goal, up to four
         # times the table's size.
         rim = 1000 * float(np.max(np.hypot(*_outline(run).T), initial=0.02)) + 12
-        middle = 1000 * np.array([run.goal.x, run.goal.y])
+        middle = 1000 * np.array([run.first.goal.x, run.first.goal.y])
         near = np.clip(middle, 4 * low, 4 * high)
         low, high = np.minimum(low, near - rim), np.maximum(high, near + rim)
     if not half.any():
@@ -147,13 +147,13 @@ def _table_plan(run: Run) -> Plan:
 def overview(run: Run) -> str:
     """Draw a plan of the table with start, resting poses, goal and strikes."""
     plan, outline = _table_plan(run), _outline(run)
-    if run.start is not None:
-        plan.outline(outline, run.start, START)
+    if run.first.start is not None:
+        plan.outline(outline, run.first.start, START)
     for tap in run.taps:
         if tap.seen:
             plan.outline(outline, tap.measured, REST)
-    if run.goal is not None:
-        plan.outline(outline, run.goal, GOAL, dashed=True, fill=0.15)
+    if run.first.goal is not None:
+        plan.outline(outline, run.first.goal, GOAL, dashed=True, fill=0.15)
     for tap in run.taps:
         plan.strike(tap.strike, tap.number, 42.0, 0.6)
     plan.scale_bar()
@@ -203,8 +203,8 @@ def _tap(run: Run, tap: TapRow, pictures: tuple[Picture, ...]) -> dict[str, obje
         ("measured - predicted", motion(tap.predicted, tap.measured, 2)),
         ("striker", f"{1000 * tap.striker_speed:.0f} mm/s{gate}; {tap.outcome}"),
     ]
-    if run.goal is not None:
-        rows.append(("remaining", motion(tap.measured, run.goal, 2)))
+    if run.first.goal is not None:
+        rows.append(("remaining", motion(tap.measured, run.first.goal, 2)))
     if math.isfinite(tap.fired_at):
         at_rest = f", at rest at {tap.at_rest_at:.1f} s" if math.isfinite(tap.at_rest_at) else ""
         rows.append(("when", f"fired at {tap.fired_at:.1f} s{at_rest}"))
@@ -212,7 +212,7 @@ def _tap(run: Run, tap: TapRow, pictures: tuple[Picture, ...]) -> dict[str, obje
         rows += [("learnt", _gains(tap.learnt)), ("learnt aiming error", _aim(tap.learnt))]
     return {
         "row": tap,
-        "sentence": tap_sentence(tap, run.goal),
+        "sentence": tap_sentence(tap, run.first.goal),
         "image": photograph(before[-1]) if before else None,
         "drawing": _close_up(run, tap),
         "values": rows,
@@ -235,8 +235,8 @@ def _close_up(run: Run, tap: TapRow) -> str:
     ]
     low, high = window([*rims, tail], 0.25 * reach, 2.5 * reach)
     plan = Plan((low[0], low[1]), (high[0], high[1]))
-    if run.goal is not None:
-        plan.outline(outline, run.goal, GOAL, dashed=True, fill=0.12)
+    if run.first.goal is not None:
+        plan.outline(outline, run.first.goal, GOAL, dashed=True, fill=0.12)
     plan.outline(outline, tap.before, START)
     if tap.predicted_covariance is not None:
         plan.ellipse(np.array(tap.predicted_covariance)[:2, :2], tap.predicted, PREDICTED)

@@ -5,16 +5,16 @@ from __future__ import annotations
 import bisect
 import json
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from tapping_cell import __version__
 from tapping_cell.report import error_codes
-from tapping_cell.report.activities import activities
+from tapping_cell.report.activities import activities, seconds_of
 from tapping_cell.report.bag import Bag, BagError, read_bag
-from tapping_cell.report.message_values import pose_of as _pose
-from tapping_cell.report.message_values import seconds_of as _seconds
+from tapping_cell.report.columns import from_record
 from tapping_cell.report.run import (
     CANCELED,
     FAILED,
@@ -22,16 +22,16 @@ from tapping_cell.report.run import (
     REACHED,
     REFUSED,
     UNFINISHED,
-    Covariance,
     ErrorEvent,
-    Learnt,
     Phase,
     Picture,
     Run,
+    RunObject,
     TapRow,
 )
-from tapping_cell.report.words import OUTCOMES, PHASES, word
-from tapping_cell.se2 import Pose
+from tapping_cell.report.versions import version_key
+from tapping_cell.report.words import PHASES, PROGRESS, word
+from tapping_cell.se2 import Pose, from_message
 
 NOTES = "run_notes"
 """Topic (``std_msgs/String``, JSON) with information on a run that no other topic contains."""
@@ -42,6 +42,10 @@ TRUTH_WITHIN_S = 0.2
 final pose up to this time after the end of the run."""
 SAME_TIME_S = 1e-6
 _FINAL_WORDS = ("reached", "failed", "canceled")
+NOT_MOVED = "not moved"
+"""Outcome of an object that had no goal and was not tapped."""
+Poses = list[tuple[float, Pose]]
+"""Poses of one object with their times in s, in order of time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,17 +78,65 @@ def illustrated_run(bag: Bag, name: str) -> IllustratedRun:
     """Extract the run from a bag; a truncated bag gives the recorded part of the run.
 
     Raises:
-        tapping_cell.report.bag.BagError: the bag has no goal.
+        tapping_cell.report.bag.BagError: the bag has no goal, or a damaged message type.
     """
-    reports = [message for _, message in bag.of("goal_report")]
-    plans = [message for _, message in bag.of("plan_state")]
     notes = notes_of(bag)
-    report = _own_report(reports, notes)
+    try:
+        run = (_arranged if notes.get("arrangement") else _positioned)(bag, name, notes)
+        return IllustratedRun(run, pictures_of(bag, run.began))
+    except AttributeError as error:  # a message lacks a field
+        raise BagError(f"{bag.path} is damaged: {error}") from error
+
+
+def _run(
+    bag: Bag,
+    name: str,
+    notes: Mapping[str, Any],
+    times: tuple[float, float],
+    plans: Sequence[Any],
+    end: tuple[str, int, str],
+    **others: Any,
+) -> Run:
+    """Return a run. ``times``: start and end, s; ``plans``: its messages of the planner; ``end``:
+    outcome, error code and message."""
+    began, ended = times
+    outcome, code, sentence = end
+    if outcome == UNFINISHED and not code:
+        code = error_codes.number("SHUTTING_DOWN")
+        sentence = "the recording ended before the goal did"
+    return Run(
+        name=name,
+        outcome=outcome,
+        wall_time=max(0.0, ended - began),
+        seed=notes.get("seed"),
+        versions=notes.get("versions", {}),
+        error_code=code,
+        error_msg=sentence,
+        table_size=tuple(notes.get("table_size", (0.0, 0.0))),
+        began=began,
+        phases=_phases(plans, began),
+        activities=activities(bag, began, ended),
+        errors=_errors(bag, began, ended),
+        files=notes.get("files", {}),
+        note=note_of(bag, notes),
+        **others,
+    )
+
+
+def _positioned(bag: Bag, name: str, notes: Mapping[str, Any]) -> Run:
+    """Return the run of a goal of one object.
+
+    Raises:
+        BagError: the bag has no goal.
+    """
+    plans = [message for _, message in bag.of("plan_state")]
+    report = _own_report([message for _, message in bag.of("goal_report")], notes)
     own = [
         plan for plan in plans if plan.goal.header.frame_id and plan.state in range(1, len(PHASES))
     ]
     if report is None and not own:
-        raise BagError(f"{bag.path}: the bag contains no goal")
+        cause = f"; {bag.missing}" if bag.missing else ""
+        raise BagError(f"{bag.path}: the bag contains no goal{cause}")
     last = report if report is not None else own[-1]
     refused = report is not None and report.refused
     since = float(notes.get("began", -math.inf))
@@ -93,61 +145,193 @@ def illustrated_run(bag: Bag, name: str) -> IllustratedRun:
         for plan in own
         if not refused
         and _same_goal(plan.goal, last.goal)
-        and _seconds(plan.header.stamp) >= since - SAME_TIME_S
+        and seconds_of(plan.header.stamp) >= since - SAME_TIME_S
     ]
-    began = float(notes.get("began", _seconds((mine or [last])[0].header.stamp)))
-    ended = _seconds(last.header.stamp)
-    states = [(_seconds(m.header.stamp), m) for _, m in bag.of("object_state")]
-    truths = [(_seconds(m.header.stamp), _pose(m.pose)) for _, m in bag.of("ground_truth")]
+    began = float(notes.get("began", seconds_of((mine or [last])[0].header.stamp)))
+    ended = seconds_of(last.header.stamp)
+    states = [(seconds_of(m.header.stamp), m) for _, m in bag.of("object_state")]
+    truths = [(seconds_of(m.header.stamp), from_message(m.pose)) for _, m in bag.of("ground_truth")]
     records = report.records if report is not None else records_of(mine)
     seen = [(at, m) for at, m in states if m.visible and m.at_rest and not m.error_code]
     after = [(at, m) for at, m in seen if at <= ended + TRUTH_WITHIN_S]
     final = after[-1] if after else None
-    taps = _taps(records, bag, truths, began)
+    taps = _taps(records, bag, lambda record: truths, began)
     # A client sets the stamp of a goal to the stamp of the observation to which the goal refers, to
     # the time of sending, or to zero.
-    start = _start(seen, _seconds(last.goal.header.stamp) or began, taps)
-    goal = _pose(last.goal.pose) if _is_pose(last.goal.pose) else None
-    tolerance = (_finite(last.position_tolerance), _finite(last.angle_tolerance))
-    final_measured = _pose(final[1].pose.pose) if final else None
-    final_true = _truth_at(truths, final[0]) if final else None
-    outcome = _outcome(last, refused, goal, final_true, tolerance)
-    code, sentence = int(last.error_code), str(last.error_msg)
-    if outcome == UNFINISHED and not code:
-        code = error_codes.number("SHUTTING_DOWN")
-        sentence = "the recording ended before the goal did"
-    run = Run(
-        name=name,
-        goal=goal,
-        start=start,
-        tolerance=tolerance,
-        taps=taps,
-        final_measured=final_measured,
-        final_true=final_true,
-        outcome=outcome,
-        wall_time=max(0.0, ended - began),
-        seed=notes.get("seed"),
-        versions=notes.get("versions", {}),
-        error_code=code,
-        error_msg=sentence,
+    asked = seconds_of(last.goal.header.stamp) or began
+    one = RunObject(
+        name=str(notes.get("object", "")),
         outline=tuple((float(x), float(y)) for x, y in notes.get("outline", ())),
-        table_size=tuple(notes.get("table_size", (0.0, 0.0))),
-        planner=str(last.planner),
-        object_name=str(notes.get("object", "")),
-        began=began,
-        phases=_phases(mine, began),
-        activities=activities(bag, began, ended),
-        errors=_errors(bag, began, ended),
-        files=notes.get("files", {}),
+        start=_start(seen, asked, taps),
+        goal=from_message(last.goal.pose) if _is_pose(last.goal.pose) else None,
+        end=from_message(final[1].pose.pose) if final else None,
+        end_true=_truth_at(truths, final[0]) if final else None,
+        tolerance=(_finite(last.position_tolerance), _finite(last.angle_tolerance)),
+        taps=len(taps),
     )
-    return IllustratedRun(run, pictures_of(bag, began))
+    end = _outcome(last, refused, one), int(last.error_code), str(last.error_msg)
+    return _run(
+        bag,
+        name,
+        notes,
+        (began, ended),
+        mine,
+        end,
+        objects=(one,),
+        taps=taps,
+        planner=str(last.planner),
+    )
+
+
+def _arranged(bag: Bag, name: str, notes: Mapping[str, Any]) -> Run:
+    """Return the run of an arrangement of objects.
+
+    Raises:
+        BagError: the bag contains no arrangement.
+    """
+    since = float(notes.get("began", -math.inf)) - SAME_TIME_S
+    reports = _since(bag, "arrangement_state", since)
+    with_objects = [report for report in reports if report.objects]
+    if not with_objects:
+        raise BagError(f"{bag.path}: the bag contains no arrangement")
+    last = with_objects[-1]
+    began = float(notes.get("began", seconds_of(reports[0].header.stamp)))
+    ended = seconds_of(reports[-1].header.stamp)
+    plans = _since(bag, "plan_state", began - SAME_TIME_S)
+    seen, true = _poses(bag, "object_states"), _poses(bag, "true_states")
+    taps = _arranged_taps(bag, plans, true, began)
+    objects = _objects(last, notes, seen, true, ended)
+    contacts = tuple(
+        (str(message.object_id), str(message.other_id))
+        for message in _since(bag, "true_contacts", since)
+    )
+    end = FAILED, int(last.error_code), str(last.error_msg)
+    if not reports[-1].objects:
+        end = (
+            FAILED,
+            error_codes.number("NOT_READY"),
+            "the planner was restarted during the arrangement",
+        )
+    elif last.active:
+        code = error_codes.number("SHUTTING_DOWN")
+        end = UNFINISHED, code, "the recording ended before the arrangement did"
+    elif not end[1]:
+        truly = all(_truly_inside(one) for one in objects if one.goal is not None)
+        end = REACHED if truly else NOT_TRULY_REACHED, 0, ""
+    elif end[1] in (error_codes.number("GOAL_CANCELED"), error_codes.number("GOAL_REPLACED")):
+        end = CANCELED, *end[1:]
+    return _run(
+        bag,
+        name,
+        notes,
+        (began, ended),
+        plans,
+        end,
+        objects=objects,
+        taps=taps,
+        planner=taps[0].method if taps else "",
+        contacts=contacts if true else None,
+    )
+
+
+def _since(bag: Bag, topic: str, since: float) -> list[Any]:
+    """Return the messages of a topic that are not older than a time in s."""
+    return [m for _, m in bag.of(topic) if seconds_of(m.header.stamp) >= since]
+
+
+def _arranged_taps(
+    bag: Bag, plans: Sequence[Any], true: Mapping[str, Poses], began: float
+) -> tuple[TapRow, ...]:
+    """Return the finished taps of an arrangement. They are read from the planner's report or, if
+    that is missing, from its state messages.
+
+    Before a tap, the planner publishes the reason for the choice of the object, followed by the
+    reason for the choice of the tap.
+    """
+    reports = [m for m in _since(bag, "goal_report", began - SAME_TIME_S) if not m.refused]
+    reasons = {
+        int(plan.planned_tap.tap_id): str(plan.planned_tap.reason)
+        for plan in plans
+        if plan.planned_tap.tap_id
+    }
+    records = reports[0].records if reports else records_of(plans)
+    rows = []
+    own = _taps(records, bag, lambda record: true.get(str(record.object_id), []), began)
+    for number, row in enumerate(own, start=1):
+        why_tap = row.reason or "asked again because"
+        purpose = reasons.get(row.tap_id, "").partition(f"; {why_tap}")[0]
+        rows.append(replace(row, number=number, purpose=purpose))
+    return tuple(rows)
+
+
+def _objects(
+    last: Any,
+    notes: Mapping[str, Any],
+    seen: Mapping[str, Poses],
+    true: Mapping[str, Poses],
+    ended: float,
+) -> tuple[RunObject, ...]:
+    """Return the objects of an arrangement in the order of the cell's list."""
+    progress = {str(each.object_id): each for each in last.objects}
+    outlines = {
+        str(each["name"]): tuple((float(x), float(y)) for x, y in each["outline"])
+        for each in notes.get("objects", ())
+    }
+    objects = []
+    for name in dict.fromkeys((*outlines, *progress)):
+        own = progress.get(name)
+        poses, truths = (
+            [pose for at, pose in found.get(name, ()) if at <= ended + TRUTH_WITHIN_S]
+            for found in (seen, true)
+        )
+        one = RunObject(
+            name=name,
+            outline=outlines.get(name, ()),
+            start=poses[0] if poses else None,
+            end=poses[-1] if poses else None,
+            end_true=truths[-1] if truths else None,
+            outcome=NOT_MOVED,
+        )
+        if own is not None:
+            one = replace(one, outcome=word(PROGRESS, int(own.state)), taps=int(own.taps))
+            if any(own.pose.covariance):
+                one = replace(one, end=from_message(own.pose.pose))
+            if own.has_goal:
+                tolerance = float(own.position_tolerance), float(own.angle_tolerance)
+                one = replace(one, goal=from_message(own.goal_pose), tolerance=tolerance)
+        objects.append(one)
+    return tuple(objects)
+
+
+def _poses(bag: Bag, topic: str) -> dict[str, Poses]:
+    """Return the poses of each object while it was visible."""
+    found: dict[str, Poses] = {}
+    for _, message in bag.of(topic):
+        for state in message.objects:
+            if state.visible:
+                found.setdefault(str(state.object_id), []).append(
+                    (seconds_of(message.header.stamp), from_message(state.pose.pose))
+                )
+    return found
 
 
 def pictures_of(bag: Bag, began: float) -> tuple[Picture, ...]:
     """Return the camera images in order of time; ``began`` is the start of the run, in s."""
     return tuple(
-        Picture(_seconds(m.header.stamp) - began, bytes(m.data)) for _, m in bag.of(PICTURES)
+        Picture(seconds_of(m.header.stamp) - began, bytes(m.data)) for _, m in bag.of(PICTURES)
     )
+
+
+def note_of(bag: Bag, notes: Mapping[str, Any]) -> str:
+    """Return why a report from the bag may show less than the run had, or an empty text."""
+    writer = str(notes.get("versions", {}).get("tapping_cell", __version__))
+    newer = ""
+    if version_key(writer) > version_key(__version__):
+        newer = (
+            f"the run was recorded by tapping_cell {writer}, which is newer than this version "
+            f"({__version__}); use the newer version"
+        )
+    return "; ".join(filter(None, (bag.missing, newer)))
 
 
 def notes_of(bag: Bag) -> dict[str, Any]:
@@ -161,11 +345,11 @@ def notes_of(bag: Bag) -> dict[str, Any]:
     return found
 
 
-def _own_report(reports: list[Any], notes: dict[str, Any]) -> Any:
+def _own_report(reports: list[Any], notes: Mapping[str, Any]) -> Any:
     """Select the report of this run's goal. A bag may also contain an earlier report, because the
     topic is latched."""
     began = float(notes.get("began", -math.inf)) - SAME_TIME_S
-    since = [report for report in reports if _seconds(report.header.stamp) >= began]
+    since = [report for report in reports if seconds_of(report.header.stamp) >= began]
     if notes.get("refused") is not None:
         since = [report for report in since if bool(report.refused) == notes["refused"]]
     return since[0] if since else None
@@ -175,7 +359,7 @@ def _same_goal(one: Any, other: Any) -> bool:
     return bool(one.header == other.header and one.pose == other.pose)
 
 
-def records_of(plans: list[Any]) -> list[Any]:
+def records_of(plans: Sequence[Any]) -> list[Any]:
     """Collect the finished taps from the planner's state messages, each of which contains the last
     tap."""
     by_id = {plan.last_tap.tap_id: plan.last_tap for plan in plans if plan.last_tap.tap_id}
@@ -183,58 +367,28 @@ def records_of(plans: list[Any]) -> list[Any]:
 
 
 def _taps(
-    records: Sequence[Any], bag: Bag, truths: list[tuple[float, Pose]], began: float
+    records: Sequence[Any], bag: Bag, truths: Callable[[Any], Poses], began: float
 ) -> tuple[TapRow, ...]:
+    """Return the taps of records. ``truths`` returns the true poses of a record's object;
+    ``began``: start of the run, s."""
     commanded = {
-        int(m.tap_id): _seconds(m.header.stamp) for _, m in bag.of("tap_command") if m.request == 0
+        int(m.tap_id): seconds_of(m.header.stamp)
+        for _, m in bag.of("tap_command")
+        if m.request == 0
     }
     rows = []
     for record in records:
-        at_rest = _seconds(record.at_rest_at)
-        fired = _seconds(record.fired_at)
+        at_rest, fired = seconds_of(record.at_rest_at), seconds_of(record.fired_at)
         rows.append(
             TapRow(
-                number=int(record.number),
-                tap_id=int(record.tap_id),
-                method=str(record.planner),
-                before=_pose(record.object_pose),
-                commanded=Pose(float(record.dx), float(record.dy), float(record.dtheta)),
-                predicted=_pose(record.predicted_pose),
-                measured=_pose(record.measured_pose.pose),
-                true_pose=_truth_at(truths, at_rest),
-                strike=_pose(record.strike_pose),
-                striker_speed=float(record.striker_speed),
-                contact_angle=float(record.contact_angle),
-                outcome=word(OUTCOMES, int(record.outcome)),
-                measured_speed=float(record.measured_speed),
+                **from_record(TapRow, record),
+                true_pose=_truth_at(truths(record), at_rest),
                 commanded_at=commanded.get(int(record.tap_id), math.nan) - began,
                 fired_at=fired - began if fired else math.nan,
                 at_rest_at=at_rest - began if at_rest else math.nan,
-                learnt=_learnt(record),
-                reason=str(getattr(record, "reason", "")),
-                predicted_covariance=_covariance(record),
-                tapper=str(getattr(record, "tapper", "")),
-                expected_taps=float(getattr(record, "expected_taps", math.nan)),
-                expected_seconds=float(getattr(record, "expected_seconds", math.nan)),
             )
         )
     return tuple(rows)
-
-
-def _covariance(record: Any) -> Covariance | None:
-    """Return the covariance of the predicted pose; None for records of earlier versions."""
-    values = [float(value) for value in getattr(record, "predicted_covariance", ())]
-    if len(values) != 9 or not any(values) or not all(map(math.isfinite, values)):
-        return None
-    return (tuple(values[:3]), tuple(values[3:6]), tuple(values[6:]))  # type: ignore[return-value]
-
-
-def _learnt(record: Any) -> Learnt:
-    """Return the estimates after a tap; all NaN for records of earlier versions."""
-    gains = getattr(record, "learnt", None)
-    if gains is None:
-        return Learnt()
-    return Learnt(**{field.name: float(getattr(gains, field.name)) for field in fields(Learnt)})
 
 
 def _pose_at(seen: list[tuple[float, Any]], asked: float) -> Pose | None:
@@ -242,7 +396,7 @@ def _pose_at(seen: list[tuple[float, Any]], asked: float) -> Pose | None:
     resting pose after it, or None."""
     before = [message for at, message in seen if at <= asked + SAME_TIME_S]
     message = before[-1] if before else (seen[0][1] if seen else None)
-    return None if message is None else _pose(message.pose.pose)
+    return None if message is None else from_message(message.pose.pose)
 
 
 def _start(seen: list[tuple[float, Any]], asked: float, taps: Sequence[TapRow]) -> Pose | None:
@@ -253,7 +407,7 @@ def _start(seen: list[tuple[float, Any]], asked: float, taps: Sequence[TapRow]) 
     return _pose_at(seen, asked)
 
 
-def _truth_at(truths: list[tuple[float, Pose]], at: float) -> Pose | None:
+def _truth_at(truths: Poses, at: float) -> Pose | None:
     """Return the ground truth pose nearest to a time; None if unknown."""
     if not truths:
         return None
@@ -263,13 +417,7 @@ def _truth_at(truths: list[tuple[float, Pose]], at: float) -> Pose | None:
     return pose if abs(stamp - at) <= TRUTH_WITHIN_S else None
 
 
-def _outcome(
-    last: Any,
-    refused: bool,
-    goal: Pose | None,
-    final_true: Pose | None,
-    tolerance: tuple[float, float],
-) -> str:
+def _outcome(last: Any, refused: bool, one: RunObject) -> str:
     """Determine the outcome from the planner's last state and the ground truth, if known."""
     if refused:
         return REFUSED
@@ -278,16 +426,22 @@ def _outcome(
         return UNFINISHED
     if phase != "reached" or last.error_code:
         return CANCELED if phase == "canceled" else FAILED
-    truly = final_true is None or (goal is not None and inside(goal, final_true, tolerance))
-    return REACHED if truly else NOT_TRULY_REACHED
+    return REACHED if _truly_inside(one) else NOT_TRULY_REACHED
 
 
-def _phases(plans: list[Any], began: float) -> tuple[Phase, ...]:
+def _truly_inside(one: RunObject) -> bool:
+    """Return whether the true pose, if it is known, is within the tolerance of the goal."""
+    if one.end_true is None:
+        return True
+    return one.goal is not None and inside(one.goal, one.end_true, one.tolerance)
+
+
+def _phases(plans: Sequence[Any], began: float) -> tuple[Phase, ...]:
     found: list[Phase] = []
     for plan in plans:
         name = word(PHASES, int(plan.state))
         if not found or found[-1].name != name:
-            found.append(Phase(max(0.0, _seconds(plan.header.stamp) - began), name))
+            found.append(Phase(max(0.0, seconds_of(plan.header.stamp) - began), name))
         if name in _FINAL_WORDS:
             break
     return tuple(found)
@@ -300,7 +454,7 @@ def _errors(bag: Bag, began: float, ended: float) -> tuple[ErrorEvent, ...]:
     for topic in _STATE_TOPICS:
         before = 0
         for _, message in bag.of(topic):
-            at, code = _seconds(message.header.stamp), int(message.error_code)
+            at, code = seconds_of(message.header.stamp), int(message.error_code)
             if code and code != before and began <= at <= ended:
                 found.append(ErrorEvent(at - began, topic, code, str(message.error_msg)))
             before = code

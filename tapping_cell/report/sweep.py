@@ -42,7 +42,15 @@ def sweep_table(rows: Sequence[Row]) -> str:
     names = list(rows[0][0])
     lines = [
         "| "
-        + " | ".join([*names, "mean taps", "90 % of runs within (taps)", "reached", "truly inside"])
+        + " | ".join(
+            [
+                *names,
+                "mean taps",
+                "90 % of runs within (taps)",
+                "reached, of all",
+                "truly inside, of reached",
+            ]
+        )
         + " |",
         "| " + " | ".join(["---"] * (len(names) + 4)) + " |",
     ]

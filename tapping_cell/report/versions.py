@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import platform
+import re
 from importlib import metadata
 
 from tapping_cell import __version__
@@ -19,3 +20,8 @@ def versions() -> dict[str, str]:
         except metadata.PackageNotFoundError:
             found[package] = "unknown"
     return found
+
+
+def version_key(version: str) -> tuple[int, ...]:
+    """Return a version such as 0.12.1 as numbers, for comparison."""
+    return tuple(int(part) for part in re.findall(r"\d+", version))

@@ -4,14 +4,23 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 
-from tapping_cell.simulation.device_emulator import OutputQueue
+from tapping_cell.simulation.device_emulator import DeviceEmulator, OutputQueue
 from tapping_cell.simulation.motor_axes import ArmMachine, Joints, MotorAxes
 
 
-class ArmEmulator(ABC):
+class AxisLimits(NamedTuple):
+    """Limits of each axis in the controller's units: units/s, units/s2 and units."""
+
+    rates: tuple[float, ...]
+    accelerations: tuple[float, ...]
+    travels: tuple[float, ...]
+
+
+class ArmEmulator(DeviceEmulator, ABC):
     """One emulated controller board with its arm."""
 
     def __init__(self, machine: ArmMachine, seed: int) -> None:
@@ -36,6 +45,10 @@ class ArmEmulator(ABC):
     def holds(self) -> bool:
         """Whether the motors have torque."""
         return self._axes.powered
+
+    @abstractmethod
+    def enter_sleep(self, now: float) -> None:
+        """Cut the motors' power and end any move."""
 
     @abstractmethod
     def advance(self, now: float) -> None:

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+import importlib
 import time
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
+
 from tapping_cell.configuration.cell import ArmSection, Cell
 from tapping_cell.se2 import Pose
+from tapping_cell.simulation.arm_emulator import ArmEmulator, AxisLimits
 from tapping_cell.simulation.arm_picture import arm_solids
-from tapping_cell.simulation.grbl_emulator import GrblEmulator
-from tapping_cell.simulation.grbl_machine import GrblMachine, default_settings
 from tapping_cell.simulation.joint_motion import AxisErrors
-from tapping_cell.simulation.marlin_emulator import MarlinEmulator, MarlinMachine
 from tapping_cell.simulation.motor_axes import TO_UNITS
 from tapping_cell.simulation.pseudo_terminal import PseudoTerminal
 from tapping_cell.simulation.rendered_camera import Occluder
@@ -93,44 +94,22 @@ class SimulatedDevices:
         return self._base @ Pose(tip.x, tip.y, tip.yaw), tip.z
 
 
-def arm_emulator(
-    arm: ArmSection, truth: ArmTruth, seed: int, now: float
-) -> GrblEmulator | MarlinEmulator:
-    """Return the emulated controller for the cell's dialect, configured for the cell's arm."""
-    errors = AxisErrors(
-        offset=truth.joint_offset, backlash=truth.backlash, repeatability=truth.repeatability
+def arm_emulator(arm: ArmSection, truth: ArmTruth, seed: int, now: float) -> ArmEmulator:
+    """Return the emulated controller for the cell's dialect, configured for the cell's arm. It is
+    made by ``make_emulator`` in ``NAME_emulator.py`` of this folder."""
+    rates, pulls, spans = (
+        tuple(float(scale * value) for scale, value in zip(TO_UNITS, values, strict=True))
+        for values in (arm.max_speed, arm.max_acceleration, np.subtract(arm.upper, arm.lower))
     )
-    rates = [float(scale * speed) for scale, speed in zip(TO_UNITS, arm.max_speed, strict=True)]
-    pulls = [
-        float(scale * pull) for scale, pull in zip(TO_UNITS, arm.max_acceleration, strict=True)
-    ]
-    sinks = 0.0 if arm.quill_brake else SINKING_SPEED
-    if arm.dialect == "marlin":
-        machine = MarlinMachine(
-            quill_sinks=sinks,
-            quill_floor=arm.lower[2],
-            start_joints=arm.park,
-            home_joints=arm.home,
-            errors=errors,
-            max_rate=(rates[0], rates[1], rates[2], rates[3]),
-            acceleration=(pulls[0], pulls[1], pulls[2], pulls[3]),
-        )
-        return MarlinEmulator(machine, seed, now)
-    settings = default_settings()
-    for axis, (rate, pull) in enumerate(zip(rates, pulls, strict=True)):
-        # Grbl's rates are in units/min.
-        settings[110 + axis] = 60 * rate
-        settings[120 + axis] = pull
-        settings[130 + axis] = float(TO_UNITS[axis]) * (arm.upper[axis] - arm.lower[axis])
-    return GrblEmulator(
-        GrblMachine(
-            start_joints=arm.park,
-            home_joints=arm.home,
-            errors=errors,
-            settings=settings,
-            quill_sinks=sinks,
-            quill_floor=arm.lower[2],
+    machine = {
+        "start_joints": arm.park,
+        "home_joints": arm.home,
+        "errors": AxisErrors(
+            offset=truth.joint_offset, backlash=truth.backlash, repeatability=truth.repeatability
         ),
-        seed,
-        now,
-    )
+        "quill_sinks": 0.0 if arm.quill_brake else SINKING_SPEED,
+        "quill_floor": arm.lower[2],
+    }
+    module = importlib.import_module(f"tapping_cell.simulation.{arm.dialect}_emulator")
+    made: ArmEmulator = module.make_emulator(machine, AxisLimits(rates, pulls, spans), seed, now)
+    return made

@@ -12,10 +12,11 @@ import re
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from tapping_cell.simulation.arm_emulator import ArmEmulator
+from tapping_cell.simulation.arm_emulator import ArmEmulator, AxisLimits
 from tapping_cell.simulation.device_emulator import earliest
 from tapping_cell.simulation.grbl_machine import GrblMachine, default_settings
 from tapping_cell.simulation.grbl_program import Line, Modal, Refused, read_line
@@ -593,3 +594,15 @@ class GrblEmulator(ArmEmulator):
 def _nothing(now: float) -> None:
     """Do nothing. This action is used during a dwell and during homing, because both end the wait
     themselves. While an action waits, no further lines are processed."""
+
+
+def make_emulator(
+    machine: dict[str, Any], limits: AxisLimits, seed: int, now: float
+) -> GrblEmulator:
+    """Create the emulator for a cell (see ``devices.arm_emulator``)."""
+    settings = default_settings()
+    for axis, (rate, acceleration, travel) in enumerate(zip(*limits, strict=True)):
+        # Grbl's rates are in units/min.
+        settings[110 + axis], settings[120 + axis] = 60 * rate, acceleration
+        settings[130 + axis] = travel
+    return GrblEmulator(GrblMachine(**machine, settings=settings), seed, now)

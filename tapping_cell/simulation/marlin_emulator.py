@@ -12,10 +12,11 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import reduce
+from typing import Any
 
 import numpy as np
 
-from tapping_cell.simulation.arm_emulator import ArmEmulator
+from tapping_cell.simulation.arm_emulator import ArmEmulator, AxisLimits
 from tapping_cell.simulation.device_emulator import earliest
 from tapping_cell.simulation.joint_motion import Array
 from tapping_cell.simulation.motor_axes import AXES, ArmMachine
@@ -38,9 +39,9 @@ class MarlinMachine(ArmMachine):
 
     steps: tuple[float, float, float, float] = (200.0, 200.0, 400.0, 100.0)
     """Steps per unit (M92)."""
-    max_rate: tuple[float, float, float, float] = (115.0, 143.0, 250.0, 345.0)
+    max_rate: tuple[float, ...] = (115.0, 143.0, 250.0, 345.0)
     """Maximum speed, units/s (M203)."""
-    acceleration: tuple[float, float, float, float] = (458.0, 573.0, 2000.0, 1720.0)
+    acceleration: tuple[float, ...] = (458.0, 573.0, 2000.0, 1720.0)
     """Acceleration, units/s2 (M201)."""
     homing_rate: float = 60.0
     """Homing speed, units/s."""
@@ -454,3 +455,11 @@ def _parse(text: str) -> tuple[str, dict[str, float]]:
         for letter, value in re.findall(r"([A-Z])\s*(-?\d+\.?\d*|-?\.\d+)(?=\s|$)", found[2])
     }
     return found[1], words
+
+
+def make_emulator(
+    machine: dict[str, Any], limits: AxisLimits, seed: int, now: float
+) -> MarlinEmulator:
+    """Create the emulator for a cell (see ``devices.arm_emulator``)."""
+    made = MarlinMachine(**machine, max_rate=limits.rates, acceleration=limits.accelerations)
+    return MarlinEmulator(made, seed, now)

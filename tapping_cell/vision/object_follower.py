@@ -7,9 +7,8 @@ then decides between rest and motion, and fuses the frames at rest.
 
 from __future__ import annotations
 
-import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -69,13 +68,13 @@ class Search:
 
     stamp: float
     detections: Mapping[str, Detections]
-    first: bool
-    """True for the first frame, which may also be the only frame."""
     slow: bool
     """True if this search may take the time of several frames, so that the follower can also
     diagnose why the object was not found."""
     expected_ids: Mapping[str, frozenset[int]]
     """Ids of the reference markers, by dictionary."""
+    mirrored: Callable[[str], Detections]
+    """Returns the markers of a dictionary in the mirrored image. All followers share the result."""
 
 
 class ObjectFollower(ABC):
@@ -124,7 +123,7 @@ class ObjectFollower(ABC):
         return True
 
     @abstractmethod
-    def searched(self, image: Image, search: Search) -> None:
+    def searched(self, search: Search) -> None:
         """Receive the detections in the whole image, before :meth:`measure` is called for the same
         frame."""
 
@@ -198,14 +197,6 @@ class ObjectFollower(ABC):
             self._last = (stamp, pose, np.zeros(3))
         elif self._last is not None and stamp - self._last[0] > _UNSEEN:
             self._last = (self._last[0], self._last[1], np.zeros(3))
-
-    def step_from_last(self, pose: Array) -> tuple[float, float] | None:
-        """Distance (m) and rotation (rad) from the last pose to this pose; None if there is no last
-        pose."""
-        if self._last is None:
-            return None
-        step = pose - self._last[1]
-        return math.hypot(step[0], step[1]), abs(float(wrap_angle(step[2])))
 
     def _good(self, frame: Frame, motion: Motion) -> Observation:
         pose = self._through_newest(frame, motion.pose)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache, partial
 
 import numpy as np
 
@@ -277,9 +278,11 @@ class PoseTracker:
             if enough and all(follower.complete(found) for follower in wanted):
                 break
         expected = {of_table: self._references.ids}
+        whole = image if first else image[::2, ::2]
+        mirrored = cache(partial(detect, np.ascontiguousarray(whole[:, ::-1])))
         for follower in followers:
             asked = slow and follower in wanted
-            follower.searched(image, Search(stamp, found, first, asked, expected))
+            follower.searched(Search(stamp, found, asked, expected, mirrored))
         return self._references.found(found[of_table])
 
     # -- the table

@@ -9,7 +9,6 @@ skipped.
 from __future__ import annotations
 
 import json
-import math
 import os
 from collections.abc import Iterator
 from pathlib import Path
@@ -18,9 +17,10 @@ from typing import Any
 import pytest
 from test_operator_in_chromium import BROWSER, DRIVER, FLAGS, Page, demanding, opened, webdriver
 
-from tapping_cell.report.arrangement_page import write_page
-from tapping_cell.report.arrangement_run import ArrangedObject, ArrangedTap, ArrangementRun
+from tapping_cell.report import objects_page
+from tapping_cell.report.run import Run, RunObject, TapRow
 from tapping_cell.report.run_folder import PAGE, write_folder
+from tapping_cell.report.run_reader import IllustratedRun
 from tapping_cell.se2 import Pose
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -91,22 +91,33 @@ def driver(tmp_path: Path) -> Iterator[webdriver.Chrome]:
 def test_the_report_of_an_arrangement(driver: webdriver.Chrome, tmp_path: Path) -> None:
     one, other = Pose(-0.1, 0.0, 0.0), Pose(0.1, 0.0, 0.5)
     why = "'disk' goes to its goal: its goal and a path to it are free"
-    run = ArrangementRun(
+    tap = TapRow(
+        *(1, 1, "optimal", "fired", one, one, other, other, other, one, 0.4, 0.1),
+        object_name="disk",
+        purpose=why,
+        reason="a reason",
+        at_rest_at=4.0,
+    )
+    run = Run(
         name="arrangement",
-        began=1.7e9,
-        seconds=20.0,
-        table_size=(0.6, 0.44),
-        tolerance=(0.001, math.radians(1.0)),
         objects=tuple(
-            ArrangedObject(name, SQUARE, one, other, other, other, "reached", 1)
+            RunObject(name, SQUARE, one, other, other, other, (0.001, 0.02), 1, "reached")
             for name in ("disk", "square", "bar", "ring", "star", "plate", "block", "tile")
         ),
-        taps=(ArrangedTap(1, "disk", one, other, other, one, 0.4, "fired", why, "a reason", 4.0),),
-        contacts=(("disk", "bar"),),
+        taps=(tap,),
+        outcome="failed",
+        wall_time=20.0,
+        seed=None,
+        versions={},
         error_code=412,
         error_msg="'bar' cannot be reached",
+        table_size=(0.6, 0.44),
+        began=1.7e9,
+        contacts=(("disk", "bar"),),
     )
-    driver.get(write_page(run, tmp_path).as_uri())
+    path = tmp_path / PAGE
+    path.write_text(objects_page.page(IllustratedRun(run, ())), encoding="utf-8")
+    driver.get(path.as_uri())
     assert not audit(driver, "arrangement report")
 
 

@@ -37,7 +37,7 @@ class Broken:
 def wait_for_the_end_of_its_worker(host: LogicHost[Any]) -> None:
     worker = host._worker
     assert worker is not None
-    worker._thread.join(10.0)
+    worker._thread.join(60.0)
     assert isinstance(worker.error, KeyError)
 
 

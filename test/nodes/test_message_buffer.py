@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tapping_cell.nodes.recorder.message_buffer import MessageBuffer
+from tapping_cell.nodes.recorder.reception import MessageBuffer
 from tapping_cell.nodes.recorder.recording import ReceivedMessage
 
 LEAD_S = 2.0

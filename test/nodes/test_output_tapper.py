@@ -153,7 +153,7 @@ def test_an_orderly_shutdown_switches_the_output_off(interface: str, tmp_path: P
             finally:
                 process.kill()
         assert (process.returncode, "Traceback" in text) == (0, False), text
-        b.wait(lambda: not robot.level, "the output is off", 5.0)
+        b.wait(lambda: not robot.level, "the output is off")
         assert states[-1].state == TapperMessage.DISCONNECTED
         robot.close()
 

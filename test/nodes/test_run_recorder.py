@@ -41,7 +41,6 @@ from tapping_cell.nodes.page.runs import Runs
 from tapping_cell.nodes.recorder import run_recorder
 from tapping_cell.nodes.recorder.recording import CannotRecord, Recording
 from tapping_cell.nodes.recorder.run_recorder import RunRecorder
-from tapping_cell.report.arrangement_run import read_arrangement
 from tapping_cell.report.bag import read_bag
 from tapping_cell.report.run import Run
 from tapping_cell.report.run_folder import read_run
@@ -157,7 +156,7 @@ def test_a_goal_produces_a_folder_whose_bag_begins_before_it(tmp_path: Path) -> 
         folder = Path(fake.runs[0].data)
     assert folder.parent == tmp_path / "runs" and folder.name.endswith("to_20_0_6")
     assert run.reached and run.seed == 3 and len(run.taps) == 1
-    assert run.start == START and run.taps[0].true_pose is not None
+    assert run.first.start == START and run.taps[0].true_pose is not None
     bag = read_bag(folder / "bag")
     assert bag.whole
     names = {topic.name for topic in bag.topics}
@@ -251,7 +250,7 @@ def test_an_arrangement_is_one_run_with_its_objects_taps_and_contacts(tmp_path: 
         fake.bench.wait(lambda: len(fake.runs) >= 2, "the next goal is recorded")
     assert folder.name.endswith("arrange_2_objects")
     assert len(list((tmp_path / "runs").iterdir())) == 2
-    run = read_arrangement(folder)
+    run = read_run(folder)
     known = {one.name: one for one in run.objects}
     for name, (start, goal) in PLACES.items():
         one = known[name]
@@ -259,7 +258,7 @@ def test_an_arrangement_is_one_run_with_its_objects_taps_and_contacts(tmp_path: 
         assert one.goal is not None and one.goal.distance_to(goal) < 1e-9
         assert one.end is not None and one.end_true is not None and one.outcome == "reached"
         assert one.end.distance_to(goal) < 1e-9 and one.end_true.distance_to(goal) < 1e-9
-    assert [(tap.name, tap.purpose) for tap in run.taps] == [
+    assert [(tap.object_name, tap.purpose) for tap in run.taps] == [
         (name, f"'{name}' goes to its goal: its goal is free") for name in PLACES
     ]
     assert run.contacts == (("disk", "bar"),) and run.error_code == 0
@@ -288,7 +287,7 @@ def test_a_goal_after_an_arrangement_of_a_crashed_planner_has_its_own_folder(
         fake.follow(fake.goal(Pose(0.03, 0.0, 0.0)))
         fake.bench.wait(lambda: len(fake.runs) >= 2, "the next goal is recorded")
         first, second = (Path(run.data) for run in fake.runs)
-    run = read_arrangement(first)
+    run = read_run(first)
     assert run.error_code == ErrorCode.NOT_READY and "restarted" in run.error_msg
     assert second != first
 
@@ -330,7 +329,7 @@ def test_refused_replaced_and_lost_goals_are_reported_correctly(
     assert [run.outcome for run in runs] == ["refused", "canceled", "unfinished"]
     assert runs[1].error_code == ErrorCode.GOAL_REPLACED
     assert runs[2].error_code == ErrorCode.SHUTTING_DOWN
-    assert runs[0].goal is not None and runs[0].goal.x == 0.9
+    assert (one := runs[0].first).goal is not None and one.goal.x == 0.9
 
 
 def test_stopping_the_recorder_writes_the_tables_of_the_active_goal(tmp_path: Path) -> None:

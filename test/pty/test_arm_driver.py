@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import statistics
 import threading
 import time
 from collections.abc import Callable
@@ -124,7 +123,7 @@ def test_stop_from_another_thread_halts_the_arm_and_latches(
     worker = threading.Thread(target=move)
     worker.start()
     cell.wait_moving(True)
-    assert driver.stop()
+    assert driver.stop()  # it must not wait for the other thread, or the move ends at 1.5 rad
     worker.join(60)
     assert [fault.reason for fault in caught] == [FaultReason.STOPPED]
     cell.wait_moving(False)
@@ -143,19 +142,6 @@ def test_stop_from_another_thread_halts_the_arm_and_latches(
     driver.home(HomingStrategy.FIRMWARE)
     driver.move_to((0.1, 1.4, 0.0, 0.0))
     assert np.allclose(cell.truth(), (0.1, 1.4, 0.0, 0.0), atol=1e-3)
-
-
-def test_stop_does_not_wait_for_other_threads(plug: Callable[..., PseudoTerminal]) -> None:
-    cell = emulated(plug)
-    driver = cell.ready()
-    delays = []
-    for _ in range(20):
-        before = time.monotonic()
-        assert driver.stop()
-        delays.append(time.monotonic() - before)
-        driver.clear_fault()
-    # The delay is about 1 ms; the bound is met even on a slow and busy machine.
-    assert statistics.median(delays) < 0.05
 
 
 def test_a_reset_board_must_be_homed_again(plug: Callable[..., PseudoTerminal]) -> None:

@@ -410,8 +410,9 @@ def test_a_stop_while_connecting_does_not_leave_the_board_in_set_up_mode(
     with pytest.raises(HardwareFault) as caught:
         driver.connect()
     assert caught.value.reason is FaultReason.STOPPED
-    until = time.monotonic() + 2.0
-    while cell.emulator.state != "STOPPED" and time.monotonic() < until:
+    until = time.monotonic() + 60.0
+    while cell.emulator.state != "STOPPED":
+        assert time.monotonic() < until, "the board is not stopped"
         time.sleep(0.001)
     with cell.port.lock:
         cell.emulator.press_clear_button(time.monotonic())

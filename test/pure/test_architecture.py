@@ -19,7 +19,7 @@ ARROWS = {
     "messages": set(),
     "mechanics": {"se2"},
     "vision": {"se2"},
-    "hardware": {"se2"},
+    "hardware": {"se2", "vision.images"},
     "planning": {"se2", "durable_file", "mechanics"},
     "configuration": {"se2", "mechanics", "vision", "hardware", "planning"},
     # The simulation uses the protocols of the devices and renders the camera's images.
@@ -35,17 +35,6 @@ ARROWS = {
     "calibration": {"se2", "mechanics", "vision", "hardware", "configuration"},
     "report": {"se2", "durable_file", "mechanics", "planning", "configuration"},
     "logic": {"se2", "messages", "hardware", "planning", "vision", "configuration"},
-    "verification": {
-        "se2",
-        "messages",
-        "logic",
-        "hardware",
-        "planning",
-        "vision.rest_detection",
-        "vision.other_objects",
-        "configuration",
-        "simulation",
-    },
     "nodes": {
         "se2",
         "durable_file",
@@ -65,7 +54,6 @@ ARROWS = {
         "durable_file",
         "messages",
         "logic",
-        "verification",
         "mechanics",
         "vision",
         "hardware",
@@ -87,6 +75,7 @@ HOMES = {
     "distributed": {"cli"},
     "rich": {"cli", "report"},
     "rosbags": {"report"},
+    "PIL": {"vision"},
     "tornado": {"nodes"},
     "argcomplete": {"cli"},
 }
@@ -153,11 +142,10 @@ def foreign_privates(package: Path) -> list[str]:
     """Return private members and modules of other packages that the code uses: names with an
     underscore that the package does not define itself."""
     own: set[str] = set()
-    used: list[tuple[str, str]] = []
+    used: list[tuple[Path, ast.AST, str]] = []
     for file in sorted(package.rglob("*.py")):
         own |= {part.removesuffix(".py") for part in file.relative_to(package).parts}
         for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
-            place = f"{file.relative_to(package)}:{getattr(node, 'lineno', 0)}"
             if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)):
                 own.add(node.name)
             elif isinstance(node, ast.Name) and not isinstance(node.ctx, ast.Load):
@@ -166,16 +154,20 @@ def foreign_privates(package: Path) -> list[str]:
                 # Attributes assigned to self or cls belong to this package.
                 if isinstance(node.ctx, ast.Store) and node.value.id in ("self", "cls"):
                     own.add(node.attr)
-                else:
-                    used.append((place, node.attr))
-            elif isinstance(node, ast.Attribute):
-                used.append((place, node.attr))
+                elif is_private(node.attr):
+                    used.append((file, node, node.attr))
+            elif isinstance(node, ast.Attribute) and is_private(node.attr):
+                used.append((file, node, node.attr))
             elif isinstance(node, ast.Import):
-                used += [(place, part) for a in node.names for part in a.name.split(".")]
+                used += [(file, node, part) for a in node.names for part in a.name.split(".")]
             elif isinstance(node, ast.ImportFrom):
                 names = [*(node.module or "").split("."), *(alias.name for alias in node.names)]
-                used += [(place, part) for part in names]
-    return [f"{place} uses {name}" for place, name in used if is_private(name) and name not in own]
+                used += [(file, node, part) for part in names]
+    return [
+        f"{file.relative_to(package)}:{node.lineno} uses {name}"
+        for file, node, name in used
+        if is_private(name) and name not in own
+    ]
 
 
 def against_the_arrows(imports: list[Import], package: str) -> list[Import]:
@@ -318,6 +310,7 @@ PLANTED = [
     ("simulation/bad.py", "from serial import Serial", strangers),
     ("hardware/bad.py", "from std_srvs.srv import Trigger", strangers),
     ("vision/bad.py", "import pandas", strangers),
+    ("logic/bad.py", "from lab.trial import Trial", strangers),
     ("simulation/bad.py", "from tapping_cell.hardware.arm import ArmDriver", drivers_in_the_world),
 ]
 

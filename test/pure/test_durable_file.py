@@ -13,9 +13,7 @@ TEXTS = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\r"
 
 
 @given(old=TEXTS, new=TEXTS)
-def test_the_new_text_replaces_the_old_one(
-    tmp_path_factory: pytest.TempPathFactory, old: str, new: str
-) -> None:
+def test_the_new_text_replaces_the_old_one(tmp_path_factory, old, new):
     path = tmp_path_factory.mktemp("files") / "record.json"
     for text in (old, new):
         replace_text(path, text)
@@ -23,9 +21,7 @@ def test_the_new_text_replaces_the_old_one(
     assert list(path.parent.iterdir()) == [path]
 
 
-def test_the_text_is_on_the_disk_before_the_file_gets_its_name(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_text_is_on_the_disk_before_the_file_gets_its_name(tmp_path, monkeypatch):
     path = tmp_path / "record.json"
     replace_text(path, "old")
     seen: list[tuple[int, str]] = []

@@ -386,7 +386,7 @@ def dependencies(package_xml: Path) -> set[str]:
 
 def test_every_imported_package_is_declared():
     keys = {"cv2": "python3-opencv", "yaml": "python3-yaml", "serial": "python3-serial"}
-    keys["rosbags"] = "python3-rosbags-pip"
+    keys |= {"rosbags": "python3-rosbags-pip", "PIL": "python3-pil"}
     declared = dependencies(ROOT / "package.xml")
     imported = set()
     for file in [*(ROOT / "tapping_cell").rglob("*.py"), *(ROOT / "launch").rglob("*.py")]:
@@ -473,14 +473,7 @@ def test_error_codes_are_one_numbered_list():
     codes = re.findall(r"^uint16 ([A-Z_]+) = (\d+) +#", text, re.MULTILINE)
     assert len(codes) > 50
     assert len({name for name, _ in codes}) == len({number for _, number in codes}) == len(codes)
-    hundreds = {
-        "CONFIGURATION": 2,
-        "CAMERA": 3,
-        "OBJECT": 3,
-        "ARM": 5,
-        "TAPPER": 6,
-        "GOAL": 1,
-    }
+    hundreds = {"CONFIGURATION": 2, "CAMERA": 3, "OBJECT": 3, "ARM": 5, "TAPPER": 6, "GOAL": 1}
     for name, number in codes:
         family = name.split("_")[0]
         assert int(number) // 100 == hundreds.get(family, int(number) // 100), name
@@ -497,33 +490,52 @@ def test_pytest_summary_lines_are_summed():
     assert line.strip("= ") == ("2 failed, 15 passed, 3 skipped, 3 warnings, 1 errors in 64.50s")
 
 
-RING_TEST = "def test_it(): assert {}\n"
+PASSED, FAILED, NONE = ("1 passed", 0), ("1 failed", 1), ("no tests ran", 5)
 
 
 @pytest.mark.parametrize(
     ("rings", "options", "status", "closing"),
     [
-        ({"pure": "True", "pty": "True"}, (), 0, "2 passed"),
-        ({"pure": "False", "pty": "True"}, (), 1, "1 failed, 1 passed"),
-        ({"pure": "True", "pty": "False"}, (), 1, "1 failed, 1 passed"),
-        ({"pure": "True", "pty": None}, (), 1, "1 passed"),
-        ({"pure": "True", "pty": None}, ("-k", "it"), 0, "1 passed"),
-        ({"pure": "True"}, (), 1, "1 passed"),
-        ({"pure": "True", "pty": "True"}, ("-k", "nothing"), 1, "2 deselected"),
+        ({"pure": PASSED, "pty": PASSED}, (), 0, "2 passed"),
+        ({"pure": FAILED, "pty": PASSED}, (), 1, "1 failed, 1 passed"),
+        ({"pure": PASSED, "pty": FAILED}, (), 1, "1 failed, 1 passed"),
+        ({"pure": PASSED, "pty": NONE}, (), 1, "1 passed"),
+        ({"pure": PASSED, "pty": NONE}, ("-k", "it"), 0, "1 passed"),
+        ({"pure": PASSED}, (), 1, "1 passed"),
+        ({"pure": NONE, "pty": NONE}, ("-k", "nothing"), 1, "no tests ran"),
     ],
 )
 def test_a_failing_test_ring_fails_the_whole_run(
     tmp_path, monkeypatch, capsys, rings, options, status, closing
 ):
+    """``rings``: the closing line and the exit code of the tests of each ring."""
+
+    def started(ring, _, output):
+        words, code = rings[ring]
+        line = f"echo '=== {words} in 0.01s ==='; exit {code}"
+        return subprocess.Popen(["sh", "-c", line], stdout=output, text=True)
+
     monkeypatch.setattr(run_tests, "ROOT", tmp_path)
     monkeypatch.setattr(run_tests, "RINGS", {"pure": ("pure",), "pty": ("pty",)})
-    monkeypatch.setattr(run_tests, "LOW_PRIORITY", 0)  # this test already runs with low priority
-    for ring, asserted in rings.items():
-        folder = tmp_path / "test" / ring
-        folder.mkdir(parents=True)
-        if asserted is not None:
-            (folder / f"test_{ring}.py").write_text(RING_TEST.format(asserted))
-    monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")
-    monkeypatch.delenv("PYTEST_ADDOPTS", raising=False)
+    monkeypatch.setattr(run_tests, "started", started)
+    for ring in rings:
+        (tmp_path / "test" / ring).mkdir(parents=True)
     assert run_tests.main(options) == status
     assert f" {closing} in " in capsys.readouterr().out.splitlines()[-1]
+
+
+@pytest.mark.parametrize("asserted", [True, False])
+def test_a_ring_is_run_by_pytest(tmp_path, monkeypatch, asserted):
+    monkeypatch.setattr(run_tests, "ROOT", tmp_path)
+    monkeypatch.setattr(run_tests, "LOW_PRIORITY", 0)  # this test already runs with low priority
+    monkeypatch.setattr(run_tests, "RINGS", {"pure": ("pure",)})
+    monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")
+    monkeypatch.delenv("PYTEST_ADDOPTS", raising=False)
+    folder = tmp_path / "test" / "pure"
+    folder.mkdir(parents=True)
+    (folder / "test_pure.py").write_text(f"def test_it(): assert {asserted}\n")
+    process = run_tests.started("pure", (), subprocess.PIPE)
+    output, _ = process.communicate()
+    expected = "passed" if asserted else "failed"
+    assert run_tests.counts_of(output.splitlines()[-1]) == {expected: 1}
+    assert process.returncode == (0 if asserted else 1)

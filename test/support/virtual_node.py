@@ -9,17 +9,17 @@ from typing import Any
 
 import numpy as np
 
+from lab.trial import QUALITIES, SERVES, SUBSCRIPTIONS
+from lab.virtual_cell.host import HostClock, Process, Program
+from lab.virtual_cell.network import Network
+from lab.virtual_cell.scheduler import Scheduler
+from lab.virtual_cell.serial_line import SerialLine
 from tapping_cell.configuration.cell import Cell, load_cell
 from tapping_cell.logic.clock import Now, to_stamp
 from tapping_cell.logic.host import Logic
 from tapping_cell.messages import Time, Trigger
 from tapping_cell.simulation.device_emulator import DeviceEmulator
 from tapping_cell.simulation.fault_layer import FaultLayer
-from tapping_cell.verification.host import HostClock, Process, Program
-from tapping_cell.verification.network import Network
-from tapping_cell.verification.scheduler import Scheduler
-from tapping_cell.verification.serial_line import SerialLine
-from tapping_cell.verification.trial import QUALITIES, SERVES, SUBSCRIPTIONS
 
 TIMEOUT_S = 60.0
 PROBE = "probe"

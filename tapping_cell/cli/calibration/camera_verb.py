@@ -18,6 +18,7 @@ import math
 import os
 import re
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -46,6 +47,7 @@ from tapping_cell.cli.image_output import (
     write_image,
 )
 from tapping_cell.configuration.table import load_camera_model
+from tapping_cell.vision.images import ImageRefused, read_photograph
 
 IMAGE_ENDINGS = {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm"}
 COVERAGE = "coverage.png"
@@ -99,7 +101,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--model",
         choices=("auto", "plumb_bob", "rational_polynomial"),
         default="auto",
-        help="lens model; auto selects the model that predicts left-out views best (default: auto)",
+        help="lens model; auto selects the model with the least predicted projection error over "
+        "the whole image (default: auto)",
     )
     parser.add_argument(
         "--name",
@@ -129,9 +132,10 @@ def run(arguments: argparse.Namespace) -> int:
     target = _target(arguments)
     paths = image_files(arguments.images)
     pictures = None if arguments.annotate is None else annotated_files(arguments.annotate, paths)
-    views, size, unseen = _find(paths, target, quiet=arguments.json)
+    views, size, unseen, notes = _find(paths, target, quiet=arguments.json)
     model = None if arguments.model == "auto" else arguments.model
     result = calibrate_camera(views, target, size, model, unseen)
+    result = replace(result, warnings=(*result.warnings, *notes))
     record = camera_record(result, target.describe(), paths)
     if pictures is not None:
         write_pictures(pictures, result, arguments.annotate / COVERAGE)
@@ -189,12 +193,6 @@ def image_files(paths: list[Path]) -> list[Path]:
     return list(different.values())
 
 
-def read_grey(path: Path) -> NDArray[np.uint8] | None:
-    """Read a photograph as a grey image, ignoring the rotation flag of the file."""
-    image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION)
-    return None if image is None else np.asarray(image, dtype=np.uint8)
-
-
 def one_size(sizes: dict[str, tuple[int, int]]) -> tuple[int, int]:
     """Return the common size (width, height) of all images. The keys of ``sizes`` are the names of
     the images.
@@ -208,50 +206,62 @@ def one_size(sizes: dict[str, tuple[int, int]]) -> tuple[int, int]:
     size, number = counted[0]
     if len(counted) > 1:
         odd = [f"{name} ({w} x {h})" for name, (w, h) in sizes.items() if (w, h) != size]
-        shown = ", ".join(odd[:6]) + (f" and {len(odd) - 6} more" if len(odd) > 6 else "")
         raise CalibrationRefused(
-            f"the images differ in size: {number} are {size[0]} x {size[1]} pixels, but {shown}."
+            f"the images differ in size: {number} are {size[0]} x {size[1]} pixels, but "
+            f"{name_some(odd)}."
             " A calibration is valid for one image size; leave out the images of other sizes"
         )
     return size
 
 
+def name_some(names: list[str]) -> str:
+    """Return the first six names and the number of further names."""
+    return ", ".join(names[:6]) + (f" and {len(names) - 6} more" if len(names) > 6 else "")
+
+
 def _find(
     paths: list[Path], target: Target, quiet: bool
-) -> tuple[list[TargetView], tuple[int, int], list[Rejected]]:
-    """Return the detected views of the target, the image size (width, height), and the rejected
-    files with the reasons."""
+) -> tuple[list[TargetView], tuple[int, int], list[Rejected], list[str]]:
+    """Return the detected views of the target, the image size (width, height), the rejected files
+    with the reasons, and the warnings about the files."""
     images = {}
+    warned: dict[str, list[str]] = {}
     names = distinct_names(paths)
     unseen: list[Rejected] = []
     for path in paths:
-        image = read_grey(path)
-        if image is None:
-            unseen.append(Rejected(names[path], "cannot be read as an image"))
-        else:
-            images[path] = (image.shape[1], image.shape[0])
+        try:
+            image = read_photograph(path)
+            images[path] = image.size
+            for warning in image.warnings:
+                warned.setdefault(warning, []).append(names[path])
+        except ImageRefused as error:
+            unseen.append(Rejected(names[path], str(error)))
     size = one_size({names[path]: shape for path, shape in images.items()})
     views = []
     console = Console(stderr=True)
     hidden = quiet or not console.is_terminal
     for path in track(images, "detecting the target", console=console, disable=hidden):
-        image = read_grey(path)
-        if image is None:
+        try:
+            image = read_photograph(path)
+        except ImageRefused:
             continue  # the file was deleted after it had been listed
-        found = find_target(image, target, names[path])
+        found = find_target(image.pixels, target, names[path])
         if isinstance(found, str):
-            unseen.append(Rejected(names[path], found))
+            unseen.append(Rejected(names[path], image.explain(found, visible=False)))
         else:
             views.append(found)
     if not views:
         for path in list(images)[:5]:
-            image = read_grey(path)
-            idea = hint(image, target) if image is not None else ""
+            try:
+                idea = hint(read_photograph(path).pixels, target)
+            except ImageRefused:
+                continue  # deleted, as above
             if idea:
                 raise CalibrationRefused(
                     f"no photograph shows the {target.describe()}; in {names[path]} {idea}"
                 )
-    return views, size, unseen
+    notes = [f"{warning} ({name_some(files)})" for warning, files in warned.items()]
+    return views, size, unseen, notes
 
 
 def report(result: CameraCalibration, path: Path) -> dict[str, Any]:
@@ -270,7 +280,8 @@ def report(result: CameraCalibration, path: Path) -> dict[str, Any]:
         "deviations": result.deviations,
         "rms_px": result.rms,
         "lens": result.lens,
-        "held_out_rms_px": result.held_out,
+        "predicted_px": result.predicted,
+        "projection_px": result.projection.tolist(),
         "views": [
             {
                 "image": entry.view.name,
@@ -299,9 +310,11 @@ def lines(result: CameraCalibration) -> list[str]:
     rows += [f"left out: {entry.name}: {entry.reason}" for entry in result.rejected]
     rows.append("number of views with corners in each part of the image:")
     rows += ["  " + " ".join(f"{count:>3}" for count in row) for row in result.coverage]
-    tried = ", ".join(f"{label} {error:.4f}" for label, error in result.held_out.items())
+    rows.append("predicted projection error in px, from border to border of the image:")
+    rows += ["  " + " ".join(f"{error:>5.2f}" for error in row) for row in result.projection]
+    tried = ", ".join(f"{label} {error:.2f}" for label, error in result.predicted.items())
     rows += [
-        f"lens: {result.lens} (error in views left out of the fit, px: {tried})",
+        f"lens: {result.lens} (predicted projection error over the image, px: {tried})",
         f"fx {m.fx:.2f} +- {d['fx']:.2f}, fy {m.fy:.2f} +- {d['fy']:.2f}, cx {m.cx:.2f} +-"
         f" {d['cx']:.2f}, cy {m.cy:.2f} +- {d['cy']:.2f} px",
         "distortion " + " ".join(f"{value:.5g}" for value in m.distortion),
@@ -325,7 +338,8 @@ def annotated_files(folder: Path, paths: list[Path]) -> dict[Path, Path]:
 def write_pictures(pictures: dict[Path, Path], result: CameraCalibration, coverage: Path) -> None:
     """Write one image per view, with the corners and their errors (magnified 50 times), to the file
     that ``pictures`` gives for the photograph. Also write the image ``coverage``, which shows which
-    parts of the camera's image the views cover.
+    parts of the camera's image the views cover and, in red, the predicted projection error: full
+    red is 1 pixel or more.
 
     Raises:
         OSError: a folder or file cannot be written, or a photograph can no longer be read.
@@ -334,15 +348,18 @@ def write_pictures(pictures: dict[Path, Path], result: CameraCalibration, covera
     paths = {name: path for path, name in distinct_names(pictures).items()}
     scale = max(1, round(result.model.width / 900))
     size = (result.model.height, result.model.width, 3)
-    whole = np.full(size, 255, dtype=np.uint8)
+    share = np.clip(result.projection, 0.0, 1.0).astype(np.float32)
+    pale = 255 - 160 * cv2.resize(share, (size[1], size[0]), interpolation=cv2.INTER_LINEAR)
+    whole = np.stack([pale, pale, np.full_like(pale, 255)], axis=-1).astype(np.uint8)
     for entry in result.views:
         path = paths[entry.view.name]
-        image = read_grey(path)
-        if image is None:
+        try:
+            image = read_photograph(path)
+        except ImageRefused as error:
             raise OSError(
                 f"{path} can no longer be read; keep the photographs, and repeat the command"
-            )
-        picture = np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR), dtype=np.uint8)
+            ) from error
+        picture = np.asarray(cv2.cvtColor(image.pixels, cv2.COLOR_GRAY2BGR), dtype=np.uint8)
         _draw(picture, entry, scale)
         _draw(whole, entry, scale)
         write_image(pictures[path], picture)

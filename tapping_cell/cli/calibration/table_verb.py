@@ -41,13 +41,14 @@ from tapping_cell.calibration.table_frame import (
     in_frame,
     scaled,
 )
-from tapping_cell.cli.calibration.camera_verb import image_files, one_size, read_grey
+from tapping_cell.cli.calibration.camera_verb import image_files, one_size
 from tapping_cell.cli.calibration_arguments import add_output_arguments, output_of
 from tapping_cell.cli.image_output import distinct_names
 from tapping_cell.configuration.files import shared_folder
 from tapping_cell.configuration.provenance import Provenance
 from tapping_cell.configuration.table import load_camera_model, load_reference_map
 from tapping_cell.vision import CameraModel, MarkerError, ReferenceMap
+from tapping_cell.vision.images import GreyImage, ImageRefused, read_photograph
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -205,19 +206,24 @@ def _from_images(
 def _views(
     paths: list[Path], camera: CameraModel, dictionary: str, known: list[int] | None
 ) -> tuple[list[MarkerView], list[str]]:
-    """Return the marker detections, and messages about images without detections."""
-    images = {name: read_grey(path) for path, name in distinct_names(paths).items()}
-    unseen = [f"{name}: cannot be read" for name, image in images.items() if image is None]
-    kept = {name: image for name, image in images.items() if image is not None}
-    one_size({name: (image.shape[1], image.shape[0]) for name, image in kept.items()})
-    views = []
-    for name, image in kept.items():
+    """Return the marker detections, and messages about the images."""
+    images: dict[str, GreyImage] = {}
+    unseen = []
+    for path, name in distinct_names(paths).items():
         try:
-            found = observe_markers(image, name, camera, dictionary, known)
+            images[name] = read_photograph(path, (camera.width, camera.height))
+            unseen += [f"{name}: {warning}" for warning in images[name].warnings]
+        except ImageRefused as error:
+            unseen.append(f"{name}: {error}")
+    one_size({name: image.size for name, image in images.items()})
+    views = []
+    for name, image in images.items():
+        try:
+            found = observe_markers(image.pixels, name, camera, dictionary, known)
         except MarkerError as error:
             raise CalibrationRefused(str(error)) from error
         if isinstance(found, str):
-            unseen.append(f"{name}: {found}")
+            unseen.append(f"{name}: {image.explain(found, visible=False)}")
         else:
             views.append(found)
     return views, unseen

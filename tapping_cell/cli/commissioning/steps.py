@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 from rich.console import Console
 
 from tapping_cell.calibration.yaml_edit import with_value
@@ -23,6 +22,8 @@ from tapping_cell.cli.commissioning.session import Proof, Session, StepFailed, w
 from tapping_cell.cli.graph import Graph
 from tapping_cell.configuration.cell import load_cell
 from tapping_cell.configuration.files import shared_folder
+from tapping_cell.configuration.schema import read_yaml
+from tapping_cell.configuration.yaml_document import format_yaml
 from tapping_cell.hardware.scara import Joints
 from tapping_cell.hardware.serial_transport import known_ports
 from tapping_cell.nodes.clients.arm_pose_client import ArmPoseClient, ArmRefused
@@ -395,10 +396,10 @@ def arm(session: Session) -> Proof:
     """Calibrate the arm's base and elbow from camera measurements of a held marker."""
     truth = None
     if not session.hardware:
-        content = yaml.safe_load((shared_folder() / "truth" / "default.yaml").read_text("utf-8"))
+        content = read_yaml(shared_folder() / "truth" / "default.yaml")
         content["arm"]["holds"] = list(HELD)
         truth = session.folder / "held.yaml"
-        truth.write_text(yaml.safe_dump(content), encoding="utf-8")
+        truth.write_text(format_yaml(content), encoding="utf-8")
     session.instruct(
         "attach the object's marker to the striker; the arm will move over the whole table"
     )

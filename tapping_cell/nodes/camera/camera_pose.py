@@ -13,7 +13,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import cast
 
 import cv2
@@ -48,9 +48,10 @@ from tapping_cell.vision import (
     Problem,
     RoundRobin,
     TrackerSettings,
-    annotate,
     marker_ids,
 )
+from tapping_cell.vision.annotate import annotate
+from tapping_cell.vision.images import GreyImage, ImageRefused
 
 CODES = {
     Problem.NONE: ErrorCode.NONE,
@@ -149,6 +150,7 @@ class CameraPose(CellNode[Parameters]):
         self._camera: CameraModel | None = None
         self._calibration: tuple[object, ...] = ()
         self._camera_problem = ""
+        self._bits = 8
         self._late = 0
         self._unanswered_since = 0.0
         self._goal: Pose | None = None
@@ -199,7 +201,7 @@ class CameraPose(CellNode[Parameters]):
         self._other_states = [ObjectState(object_id=file.name) for file in self._other_files]
         for state in self._other_states:
             state.header.frame_id = TABLE
-        self._camera, self._calibration = None, ()
+        self._camera, self._calibration, self._bits = None, (), 8
         if self._cell.file.arm is not None and self.settings.search_unknown_objects:
             self._unknown = UnknownSearch(self, self._cell, self._other_files)
 
@@ -286,16 +288,21 @@ class CameraPose(CellNode[Parameters]):
         if problem := self._problem_of_stamp(stamp):
             self._refuse(message, ErrorCode.STAMP_INVALID, problem)
             return
+        assert self._camera is not None
         try:
-            grey = images.to_grey(message)
-        except images.ImageRefused as error:
+            image = images.read(message, (self._camera.width, self._camera.height), self._bits)
+        except ImageRefused as error:
             self._refuse(message, ErrorCode.IMAGE_INVALID, str(error))
             return
+        self._note_depth(image)
+        grey = image.pixels
         tapped = [n for n, file in enumerate(self._other_files) if file.name == self._tapped]
         due = self._turns.due(stamp, range(len(self._other_files)) if self._awaited else tapped)
         observation, others = self._tracker.update_several(
             grey, stamp, due, every_frame=self._awaited
         )
+        sentence = image.explain(observation.sentence, observation.visible)
+        observation = replace(observation, sentence=sentence)
         self._publish(message, observation)
         self._count_late(observation)
         self._publish_camera(message)
@@ -304,6 +311,13 @@ class CameraPose(CellNode[Parameters]):
         self._busy_seconds += time.perf_counter() - began
         self._annotate(message, grey, observation)
         self._publish_others(message, others)
+
+    def _note_depth(self, image: GreyImage) -> None:
+        """Log how many bits of 16 hold the image. The number never decreases while the node is
+        configured, so that a dark image does not change the brightness of later ones."""
+        if image.bits != self._bits:
+            self.get_logger().info(f"the camera's images have {image.depth}")
+            self._bits = image.bits
 
     def _problem_of_stamp(self, stamp: float) -> str:
         """Return why an image with this stamp (s) cannot be used, or an empty text."""

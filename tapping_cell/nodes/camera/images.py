@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import array
-from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -13,6 +12,7 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from std_msgs.msg import Header
 
 from tapping_cell.vision import CameraError, CameraModel
+from tapping_cell.vision.images import GreyImage, ImageRefused, read_compressed, read_raw, rows
 
 PICTURES = QoSProfile(
     depth=15, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE
@@ -31,72 +31,10 @@ ANNOTATED = "camera/image_annotated"
 ANNOTATED_COMPRESSED = f"{ANNOTATED}/compressed"
 
 
-@dataclass(frozen=True, slots=True)
-class Encoding:
-    """Bytes per pixel and, if required, OpenCV's conversion to grey."""
-
-    size: int
-    conversion: int | None = None
-
-
-ENCODINGS = {
-    "mono8": Encoding(1),
-    "8UC1": Encoding(1),
-    "mono16": Encoding(2),
-    "16UC1": Encoding(2),
-    "bgr8": Encoding(3, cv2.COLOR_BGR2GRAY),
-    "8UC3": Encoding(3, cv2.COLOR_BGR2GRAY),
-    "rgb8": Encoding(3, cv2.COLOR_RGB2GRAY),
-    "bgra8": Encoding(4, cv2.COLOR_BGRA2GRAY),
-    "8UC4": Encoding(4, cv2.COLOR_BGRA2GRAY),
-    "rgba8": Encoding(4, cv2.COLOR_RGBA2GRAY),
-    "yuv422": Encoding(2, cv2.COLOR_YUV2GRAY_UYVY),
-    "uyvy": Encoding(2, cv2.COLOR_YUV2GRAY_UYVY),
-    "yuv422_yuy2": Encoding(2, cv2.COLOR_YUV2GRAY_YUY2),
-    "yuyv": Encoding(2, cv2.COLOR_YUV2GRAY_YUY2),
-    # ROS names a Bayer pattern by its top left 2x2 pixels. OpenCV names the pattern by the second
-    # and third pixels of the second row.
-    "bayer_rggb8": Encoding(1, cv2.COLOR_BayerBG2GRAY),
-    "bayer_bggr8": Encoding(1, cv2.COLOR_BayerRG2GRAY),
-    "bayer_gbrg8": Encoding(1, cv2.COLOR_BayerGR2GRAY),
-    "bayer_grbg8": Encoding(1, cv2.COLOR_BayerGB2GRAY),
-}
-"""Accepted image encodings (sensor_msgs/image_encodings.h)."""
-
-
-class ImageRefused(ValueError):
-    """Image message whose content contradicts its header fields."""
-
-
-def unpack(message: Image) -> NDArray[np.uint8]:
-    """Return the bytes of an image message, shape (height, width, bytes per pixel). The bytes are
-    copied only if the rows are padded.
-
-    Raises:
-        ImageRefused: the encoding is unknown, the image is empty, or there are fewer bytes than the
-            size requires.
-    """
-    encoding = ENCODINGS.get(message.encoding)
-    if encoding is None:
-        raise ImageRefused(
-            f"the image's encoding is '{message.encoding}'; set the camera to one of "
-            f"{', '.join(ENCODINGS)}, preferably mono8"
-        )
-    width, needed = message.width * encoding.size, message.step * message.height
-    if message.step < width or len(message.data) < needed or 0 in (width, needed):
-        raise ImageRefused(
-            f"the image's header states {message.width} x {message.height} {message.encoding} "
-            f"with {message.step} bytes per row, but its data has {len(message.data)} bytes"
-        )
-    rows = np.frombuffer(message.data, dtype=np.uint8, count=needed)
-    rows = np.ascontiguousarray(rows.reshape(message.height, message.step)[:, :width])
-    return rows.reshape(message.height, message.width, encoding.size)
-
-
 def compress(message: Image, quality: int) -> CompressedImage:
     """Compress a mono8 image message to JPEG, in the format of image_transport."""
     form = f"{message.encoding}; jpeg compressed "
-    return _compressed(unpack(message)[..., 0], quality, message.header, form)
+    return _compressed(rows(*_content(message))[..., 0], quality, message.header, form)
 
 
 def compress_colour(
@@ -127,7 +65,8 @@ def to_jpeg(message: Image, quality: int) -> bytes:
     Raises:
         ImageRefused: the encoding is unknown, or there are fewer bytes than the size requires.
     """
-    picture = unpack(message) if message.encoding in ("bgr8", "rgb8") else to_grey(message)
+    colour = message.encoding in ("bgr8", "rgb8")
+    picture = rows(*_content(message)) if colour else to_grey(message)
     if message.encoding == "rgb8":
         picture = picture[..., ::-1]
     made, jpeg = cv2.imencode(
@@ -142,42 +81,29 @@ def to_grey(message: Image | CompressedImage) -> NDArray[np.uint8]:
     """Return the grey image of an image message, shape (height, width).
 
     Raises:
-        ImageRefused: the encoding is unknown, there are fewer bytes than the size requires, or the
-            data are neither JPEG nor PNG.
+        ImageRefused: see :func:`read`.
+    """
+    return read(message).pixels
+
+
+def read(
+    message: Image | CompressedImage, size: tuple[int, int] | None = None, bits: int = 8
+) -> GreyImage:
+    """Read an image message. ``size``: width and height of the calibration; ``bits``: bits in
+    samples of 16 in earlier images.
+
+    Raises:
+        ImageRefused: the encoding is unknown, there are fewer bytes than the size requires, or
+            compressed data cannot be decoded.
     """
     if isinstance(message, CompressedImage):
-        return _decompress(message)
-    pixels = unpack(message)
-    conversion = ENCODINGS[message.encoding].conversion
-    if pixels.shape[2] == 1:
-        pixels = pixels[..., 0]
-    if conversion is None and pixels.ndim == 2:
-        return pixels
-    if conversion is None:
-        # Conversion from 16 to 8 bits keeps only the upper byte.
-        upper = cv2.extractChannel(pixels, 0 if message.is_bigendian else 1)
-        return np.asarray(upper, dtype=np.uint8)
-    try:
-        return np.asarray(cv2.cvtColor(pixels, conversion), dtype=np.uint8)
-    except cv2.error as error:
-        raise ImageRefused(
-            f"an image of {message.width} x {message.height} pixels cannot have the encoding "
-            f"'{message.encoding}'; set the camera to another image size or to mono8"
-        ) from error
+        return read_compressed(message.data, message.format, size, bits)
+    return read_raw(*_content(message), bits)
 
 
-def _decompress(message: CompressedImage) -> NDArray[np.uint8]:
-    coded = np.frombuffer(message.data, dtype=np.uint8)
-    try:
-        picture = cv2.imdecode(coded, cv2.IMREAD_GRAYSCALE) if coded.size else None
-    except cv2.error:  # a damaged header can state more pixels than OpenCV accepts
-        picture = None
-    if picture is None:
-        raise ImageRefused(
-            f"the compressed image of {coded.size} bytes, format '{message.format}', cannot be "
-            "decoded; set the camera's compressed transport to jpeg or png"
-        )
-    return np.asarray(picture, dtype=np.uint8)
+def _content(message: Image) -> tuple[array.array[int], int, int, int, str, bool]:
+    size = (message.width, message.height, message.step)
+    return message.data, *size, message.encoding, bool(message.is_bigendian)
 
 
 def to_message(picture: NDArray[np.uint8], encoding: str) -> Image:

@@ -22,7 +22,6 @@ from tapping_cell.hardware.camera_source import (
     Playback,
     SourceEnded,
     open_source,
-    to_grey,
 )
 from tapping_cell.nodes.camera import images
 from tapping_cell.nodes.camera.picture_publisher import PicturePublisher
@@ -164,7 +163,7 @@ class OverheadCamera(CellNode[Parameters]):
 
     def _send(self, frame: Frame) -> None:
         assert self._settings is not None
-        picture, wanted = to_grey(frame.picture), self._settings
+        picture, wanted = frame.picture, self._settings
         if picture.shape != (wanted.height, wanted.width):
             self._log_problem(
                 f"the image is {picture.shape[1]} x {picture.shape[0]} pixels but the "

@@ -1,8 +1,9 @@
-"""Common base of the clients of the planner's actions: they send a goal, monitor the goal and can
-cancel it."""
+"""Common base of the clients of the planner's actions: they send a goal, monitor the goal and the
+devices, and can cancel the goal."""
 
 from __future__ import annotations
 
+import math
 import queue
 import time
 from abc import abstractmethod
@@ -12,10 +13,17 @@ from typing import Any, ClassVar, Generic, TypeVar
 from action_msgs.srv import CancelGoal
 from rclpy.action import ActionClient
 from rclpy.action.client import ClientGoalHandle
+from std_msgs.msg import String
 from std_srvs.srv import Trigger
-from tapping_cell_msgs.msg import ErrorCode
+from tapping_cell_msgs.msg import ArmState, ErrorCode, PlanState, TapperState
 
+from tapping_cell import messages
+from tapping_cell.logic.goal_watch import Ended, GoalWatch
+from tapping_cell.nodes.cell_node import LATCHED
 from tapping_cell.nodes.clients.client_node import ClientNode
+from tapping_cell.nodes.conversions import from_message
+from tapping_cell.nodes.message_conversion import from_ros
+from tapping_cell.se2 import Pose
 
 CALL_S = 1.0
 """Time after which a call is repeated: a planner that has just restarted misses calls until it is
@@ -39,12 +47,48 @@ class ActionFollower(ClientNode, Generic[Event]):
         """Whether a goal was sent, or is about to be sent."""
         self._sent = 0
         """Number of goals sent so far. This number also identifies the latest goal."""
+        self.arm_state: ArmState | None = None
+        self.tapper_state: TapperState | None = None
+        self.planner_active = False
+        """Whether a state of the planner has been received. The planner publishes its first state
+        when it is activated."""
+        self.last_run = ""
+        """Folder of the run that the recorder finished last; empty before the first run."""
+        self._plan: tuple[PlanState, float] | None = None
+        """Last state of the planner since the goal was sent, with the time of its receipt."""
+        self._watch: GoalWatch | None = None
         self._action = ActionClient(self.node, kind, action)
         self._cancel_any = self.node.create_client(Trigger, "tap_planner/cancel")
+        subscribe = self.node.create_subscription
+        subscribe(ArmState, "arm_state", self._on_arm_state, LATCHED)
+        subscribe(TapperState, "tapper_state", self.keeper("tapper_state"), LATCHED)
+        subscribe(PlanState, "plan_state", self._on_plan_state, LATCHED)
+        subscribe(String, "last_run", self._on_last_run, LATCHED)
 
     def accepts_goals(self) -> bool:
         """Return whether the planner's action server is available."""
         return bool(self._action.server_is_ready())
+
+    def _missing_devices(self) -> list[str]:
+        """Return what prevents arm and tapper from serving a goal, as text."""
+        reasons = []
+        if self.tapper_state is not None and self.tapper_state.fixed_mounts:
+            if not self.tapper_state.mounts_proven:
+                reasons.append(
+                    self.tapper_state.error_msg
+                    or "the strikers are not yet confirmed to be at their mounts"
+                )
+        elif self.arm_state is None:
+            reasons.append("the arm's driver is not running")
+        elif self.arm_state.state == ArmState.DISCONNECTED:
+            reasons.append(self.arm_state.error_msg or "the arm is not connected yet")
+        elif self.arm_state.state != ArmState.IDLE:
+            reasons.append(f"the arm is not idle ({self.arm_state.error_msg or 'busy'})")
+        if self.tapper_state is None:
+            reasons.append("the tapper's driver is not running")
+        elif self.tapper_state.state != TapperState.SAFE:
+            reasons.append(f"the tapper is not ready ({self.tapper_state.error_msg or 'busy'})")
+        return reasons
 
     @property
     def answered(self) -> bool:
@@ -103,8 +147,31 @@ class ActionFollower(ClientNode, Generic[Event]):
         found = self.node.get_publishers_info_by_topic(self.node.resolve_topic_name("plan_state"))
         return frozenset(bytes(publisher.endpoint_gid) for publisher in found)
 
-    def _send_goal(self, message: Any) -> None:
+    def _send_goal(self, message: Any, resumed: Pose | None) -> None:
+        """Send a goal. ``resumed``: the goal's pose if the planner resumes the goal after a
+        crash."""
+        self._plan = None  # it may contain the numbers of an earlier goal
+        self._watch = GoalWatch(resumed, self._planners(), time.monotonic())
         self._send_later(self._send, message)
+
+    def _end_without_result(self) -> Ended | None:
+        """Return the end of a goal whose result can no longer arrive."""
+        if self._watch is None:
+            return None
+        plan, at = self._plan if self._plan is not None else (None, -math.inf)
+        pose = from_message(plan.goal.pose) if plan is not None else None
+        mirror = from_ros(plan, messages.PlanState) if plan is not None else None
+        return self._watch.check(mirror, pose, at, self._planners(), time.monotonic())
+
+    def _on_arm_state(self, message: ArmState) -> None:
+        self.arm_state = message
+
+    def _on_plan_state(self, message: PlanState) -> None:
+        self.planner_active = True
+        self._plan = message, time.monotonic()
+
+    def _on_last_run(self, message: String) -> None:
+        self.last_run = message.data
 
     def _send_later(self, send: Callable[[Any], None], message: Any) -> None:
         """Send a goal from the executor's thread. If another thread sent it, the response could
@@ -134,9 +201,9 @@ class ActionFollower(ClientNode, Generic[Event]):
 
         handle.get_result_async().add_done_callback(end)
 
+    @abstractmethod
     def _event_of_silence(self) -> Event | None:
         """Return the event that reports missing messages, or None if no messages are missing."""
-        return None
 
     @abstractmethod
     def _on_feedback(self, feedback: Any) -> None:

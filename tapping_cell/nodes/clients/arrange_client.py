@@ -5,28 +5,18 @@ The verbs `arrange` and `demo --objects` use this client. There is no separate e
 
 from __future__ import annotations
 
-import math
-import time
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from tapping_cell_msgs.action import ArrangeObjects
 from tapping_cell_msgs.msg import (
-    ArmState,
-    ObjectContact,
     ObjectProgress,
     ObjectStates,
-    PlanState,
-    TapperState,
 )
 
 from tapping_cell.configuration.layout_file import LayoutFile
-from tapping_cell.logic.goal_watch import GoalWatch
 from tapping_cell.nodes.cell_node import LATCHED
 from tapping_cell.nodes.clients.action_follower import ActionFollower
 from tapping_cell.nodes.conversions import from_message, object_goal
-from tapping_cell.report.arrangement_reader import arranged_tap
-from tapping_cell.report.arrangement_run import ArrangedTap
 from tapping_cell.report.words import PROGRESS, word
 from tapping_cell.se2 import Pose
 
@@ -62,7 +52,6 @@ class ArrangementEnded:
     error_msg: str
     taps: int
     objects: tuple[ObjectEnd, ...] = field(default=())
-    records: tuple[ArrangedTap, ...] = field(default=())
 
 
 Event = ObjectTapped | ArrangementEnded
@@ -77,24 +66,8 @@ class ArrangeClient(ActionFollower[Event]):
         super().__init__(name, namespace, ArrangeObjects, "arrange_objects")
         self.poses: dict[str, Pose] = {}
         """Measured poses of the objects at rest, by name."""
-        self.true_poses: dict[str, Pose] = {}
-        """True poses of the objects in the simulated world."""
-        self.contacts: list[tuple[str, str]] = []
-        """Names of the two objects of each contact that occurred in the simulated world."""
-        self.planner_active = False
-        self._arm: ArmState | None = None
-        self._tapper: TapperState | None = None
         self._taps = 0
-        self._purposes: dict[int, str] = {}
-        self._watch: GoalWatch | None = None
-        self._plan_received = -math.inf
-        subscribe = self.node.create_subscription
-        subscribe(ObjectStates, "object_states", self._on_states, LATCHED)
-        subscribe(ArmState, "arm_state", self.keeper("_arm"), LATCHED)
-        subscribe(TapperState, "tapper_state", self.keeper("_tapper"), LATCHED)
-        subscribe(PlanState, "plan_state", self._on_plan, LATCHED)
-        subscribe(ObjectStates, "true_states", self._on_truth, 10)
-        subscribe(ObjectContact, "true_contacts", self._on_contact, 10)
+        self.node.create_subscription(ObjectStates, "object_states", self._on_states, LATCHED)
 
     def missing(self, names: frozenset[str] = frozenset()) -> list[str]:
         """Return the conditions that still prevent the cell from arranging these objects, as
@@ -102,10 +75,7 @@ class ArrangeClient(ActionFollower[Event]):
         reasons = []
         if not self.accepts_goals() or not self.planner_active:
             reasons.append("the planner is not running")
-        if self._arm is None or self._arm.state != ArmState.IDLE:
-            reasons.append("the arm is not idle")
-        if self._tapper is None or self._tapper.state != TapperState.SAFE:
-            reasons.append("the tapper is not ready")
+        reasons += self._missing_devices()
         reasons += [f"'{name}' is not seen at rest" for name in sorted(names - self.poses.keys())]
         return reasons
 
@@ -124,22 +94,15 @@ class ArrangeClient(ActionFollower[Event]):
             time_limit=layout.time_limit,
         )
         self._taps = 0
-        self._purposes.clear()
-        self._watch = GoalWatch(None, self._planners(), time.monotonic())
-        self._send_goal(message)
+        self._send_goal(message, None)
 
     def _event_of_silence(self) -> ArrangementEnded | None:
         """Return the end of an arrangement whose result can no longer arrive."""
-        if self._watch is None:
-            return None
-        planners, received = self._planners(), self._plan_received
-        ended = self._watch.check(None, None, received, planners, time.monotonic())
+        ended = self._end_without_result()
         return None if ended is None else ArrangementEnded(ended.code, ended.sentence, self._taps)
 
     def _on_feedback(self, feedback: ArrangeObjects.Feedback) -> None:
         plan = feedback.plan_state
-        if plan.planned_tap.tap_id:
-            self._purposes[plan.planned_tap.tap_id] = plan.planned_tap.reason
         if plan.taps > self._taps:
             self._taps = plan.taps
             objects = _ends(feedback.objects)
@@ -148,51 +111,16 @@ class ArrangeClient(ActionFollower[Event]):
     def _on_result(self, result: ArrangeObjects.Result) -> None:
         self._events.put(
             ArrangementEnded(
-                result.error_code,
-                result.error_msg,
-                result.taps,
-                _ends(result.objects),
-                tuple(
-                    arranged_tap(number, record, self._purposes.get(record.tap_id, ""))
-                    for number, record in enumerate(result.records, start=1)
-                ),
+                result.error_code, result.error_msg, result.taps, _ends(result.objects)
             )
         )
 
     def _on_states(self, message: ObjectStates) -> None:
-        self.poses = _poses(message, at_rest=True)
-
-    def _on_truth(self, message: ObjectStates) -> None:
-        self.true_poses = _poses(message, at_rest=False)
-
-    def _on_contact(self, message: ObjectContact) -> None:
-        self.contacts.append((message.object_id, message.other_id))
-
-    def _on_plan(self, message: PlanState) -> None:
-        self.planner_active = True
-        self._plan_received = time.monotonic()
-
-
-def residuals(poses: Mapping[str, Pose], layout: LayoutFile) -> dict[str, tuple[float, float]]:
-    """Return distance (m) and rotation (rad) of each object from its goal, NaN if the object is not
-    visible."""
-    found = {}
-    for goal in layout.goals:
-        pose, wanted = poses.get(goal.object), Pose(*goal.pose)
-        found[goal.object] = (
-            (math.nan, math.nan)
-            if pose is None
-            else (pose.distance_to(wanted), abs(pose.rotation_to(wanted)))
-        )
-    return found
-
-
-def _poses(message: ObjectStates, at_rest: bool) -> dict[str, Pose]:
-    return {
-        state.object_id: from_message(state.pose.pose)
-        for state in message.objects
-        if state.visible and (state.at_rest or not at_rest)
-    }
+        self.poses = {
+            state.object_id: from_message(state.pose.pose)
+            for state in message.objects
+            if state.visible and state.at_rest
+        }
 
 
 def _ends(objects: list[ObjectProgress]) -> tuple[ObjectEnd, ...]:

@@ -11,24 +11,17 @@ import time
 from dataclasses import dataclass
 
 from geometry_msgs.msg import PoseStamped
-from std_msgs.msg import String
 from tapping_cell_msgs.action import PositionObject
 from tapping_cell_msgs.msg import (
-    ArmState,
     ObjectState,
     PlannedTap,
     PlanState,
-    TapperState,
     TapRecord,
 )
 from tapping_cell_msgs.srv import ConfirmTap
 
-from tapping_cell import messages
-from tapping_cell.logic.goal_watch import GoalWatch
-from tapping_cell.nodes.cell_node import LATCHED
 from tapping_cell.nodes.clients.action_follower import ActionFollower
 from tapping_cell.nodes.conversions import from_message, position_goal
-from tapping_cell.nodes.message_conversion import from_ros
 from tapping_cell.report.words import PHASES
 from tapping_cell.se2 import Pose
 
@@ -88,27 +81,14 @@ class GoalClient(ActionFollower[Event]):
     def __init__(self, name: str = "goal_client", namespace: str = "") -> None:
         super().__init__(name, namespace, PositionObject, "position_object")
         self.object_state: ObjectState | None = None
-        self.arm_state: ArmState | None = None
-        self.tapper_state: TapperState | None = None
         self.true_pose: Pose | None = None
-        self.last_run = ""
-        """Folder of the run that the recorder finished last; empty before the first run."""
-        self.planner_active = False
-        """Whether a state of the planner has been received. The planner publishes its first state
-        when it is activated."""
         self._true_pose_received = 0.0
         self._taps_received = 0
         self._phase = ""
         self._proposed = 0
-        self._watch: GoalWatch | None = None
-        self._plan: tuple[PlanState, float] | None = None
         self._confirm = self.node.create_client(ConfirmTap, "confirm_tap")
         subscribe = self.node.create_subscription
         subscribe(ObjectState, "object_state", self.keeper("object_state"), 10)
-        subscribe(ArmState, "arm_state", self._on_arm_state, LATCHED)
-        subscribe(TapperState, "tapper_state", self.keeper("tapper_state"), LATCHED)
-        subscribe(PlanState, "plan_state", self._on_plan_state, LATCHED)
-        subscribe(String, "last_run", self._on_last_run, LATCHED)
         subscribe(PoseStamped, "ground_truth", self._on_ground_truth, 10)
 
     def missing(self) -> list[str]:
@@ -117,22 +97,7 @@ class GoalClient(ActionFollower[Event]):
         reasons = []
         if not self._action.server_is_ready():
             reasons.append("the planner is not running")
-        if self.tapper_state is not None and self.tapper_state.fixed_mounts:
-            if not self.tapper_state.mounts_proven:
-                reasons.append(
-                    self.tapper_state.error_msg
-                    or "the strikers are not yet confirmed to be at their mounts"
-                )
-        elif self.arm_state is None:
-            reasons.append("the arm's driver is not running")
-        elif self.arm_state.state == ArmState.DISCONNECTED:
-            reasons.append(self.arm_state.error_msg or "the arm is not connected yet")
-        elif self.arm_state.state != ArmState.IDLE:
-            reasons.append(f"the arm is not idle ({self.arm_state.error_msg or 'busy'})")
-        if self.tapper_state is None:
-            reasons.append("the tapper's driver is not running")
-        elif self.tapper_state.state != TapperState.SAFE:
-            reasons.append(f"the tapper is not ready ({self.tapper_state.error_msg or 'busy'})")
+        reasons += self._missing_devices()
         if self.object_state is None:
             reasons.append("camera_pose has not reported the object yet")
         elif not (self.object_state.visible and self.object_state.at_rest):
@@ -166,9 +131,7 @@ class GoalClient(ActionFollower[Event]):
         message = position_goal(goal, tolerance, stamp)
         message.probe, message.ask = probe, ask
         self._taps_received, self._phase, self._proposed = 0, "", 0
-        self._plan = None  # it may contain the numbers of an earlier goal
-        self._watch = GoalWatch(goal, self._planners(), time.monotonic())
-        self._send_goal(message)
+        self._send_goal(message, goal)
 
     def confirm(self, tap_id: int, confirm: bool, patience: float = 5.0) -> ConfirmTap.Response:
         """Confirm or skip a tap that waits for confirmation.
@@ -187,16 +150,12 @@ class GoalClient(ActionFollower[Event]):
     def _event_of_silence(self) -> PlannerLost | Finished | None:
         """Return PlannerLost once when the planner has ended, or Finished for a goal whose result
         can no longer arrive."""
-        watch, received = self._watch, self._plan
-        if watch is None:
-            return None
-        plan, at = received if received is not None else (None, -math.inf)
-        pose = from_message(plan.goal.pose) if plan is not None else None
-        mirror = from_ros(plan, messages.PlanState) if plan is not None else None
-        was_gone = watch.gone
-        ended = watch.check(mirror, pose, at, self._planners(), time.monotonic())
+        watch = self._watch
+        was_gone = watch is not None and watch.gone
+        ended = self._end_without_result()
         if ended is None:
-            return PlannerLost() if watch.gone and not was_gone else None
+            return PlannerLost() if watch is not None and watch.gone and not was_gone else None
+        plan = self._plan[0] if self._plan is not None else None
         seen = self.object_state
         return Finished(
             ended.code,
@@ -217,18 +176,11 @@ class GoalClient(ActionFollower[Event]):
             time.sleep(0.01)
         return None
 
-    def _on_arm_state(self, message: ArmState) -> None:
-        self.arm_state = message
-
     def _on_plan_state(self, message: PlanState) -> None:
-        self.planner_active = True
-        self._plan = message, time.monotonic()
+        super()._on_plan_state(message)
         if self._watch is not None and self._watch.gone:
             # A planner that has resumed the goal sends no feedback, so follow its state instead.
             self._follow(message)
-
-    def _on_last_run(self, message: String) -> None:
-        self.last_run = message.data
 
     def _on_ground_truth(self, message: PoseStamped) -> None:
         self.true_pose = from_message(message.pose)

@@ -20,8 +20,7 @@ from tapping_cell.se2 import Pose, transform_points
 from tapping_cell.vision import View
 
 HANDLE_BEYOND = 0.03
-"""The handle that rotates the ghost is farther from the ghost's centre than the farthest point of
-the outline, by this distance in m."""
+"""Distance, m, of the rotation handle beyond the farthest point of the outline."""
 ARROW, ARROW_AHEAD = 0.06, 0.012
 """Lengths in m of the two parts of the line that represents the striker: ``ARROW`` behind the
 position of the striker's tip at rest, and ``ARROW_AHEAD`` in front of this position."""

@@ -66,6 +66,7 @@ from tapping_cell.nodes.page.requests import (
 from tapping_cell.nodes.page.runs import Runs
 from tapping_cell.nodes.page.stop_link import StopLink
 from tapping_cell.planning import planner_names
+from tapping_cell.vision.images import ImageRefused
 
 STATE_PERIOD_S = 0.2
 ANSWER_S = 5.0
@@ -314,7 +315,7 @@ class OperatorPage(CellNode[Parameters]):
             return
         try:
             jpeg = images.to_jpeg(message, self.settings.picture_quality)
-        except images.ImageRefused as error:
+        except ImageRefused as error:
             self.get_logger().warning(str(error), throttle_duration_sec=10.0)
             return
         self._picture_at = now

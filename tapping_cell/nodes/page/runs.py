@@ -1,7 +1,7 @@
 """Access of the page to the recorder's run folders: list, find by name, and pack for download.
 
 A requested name can select only a folder directly in the recorder's folder. Links are not followed,
-and a folder with neither ``summary.json`` nor ``arrangement.json`` is not served.
+and a folder without ``summary.json`` is not served.
 """
 
 from __future__ import annotations
@@ -12,11 +12,10 @@ import os
 import tempfile
 import zipfile
 from pathlib import Path
-from typing import Any
 
 from tapping_cell.nodes.recorder.run_names import is_run_name
 
-SUMMARY, ARRANGEMENT = "summary.json", "arrangement.json"
+SUMMARY = "summary.json"
 REPORT = "report.html"
 MAX_ROWS = 40
 LARGEST_SUMMARY = 4_000_000
@@ -112,11 +111,8 @@ class Runs:
     @staticmethod
     def _summary(folder: Path) -> Path | None:
         """Return the summary of a run, or None if the folder holds none."""
-        for name in (SUMMARY, ARRANGEMENT):
-            path = folder / name
-            if path.is_file() and not path.is_symlink():
-                return path
-        return None
+        path = folder / SUMMARY
+        return path if path.is_file() and not path.is_symlink() else None
 
     def _summaries(self) -> list[tuple[str, int]]:
         """Return names and modification times of the latest runs, newest first."""
@@ -151,11 +147,10 @@ class Runs:
         try:
             with summary.open(encoding="utf-8") as file:
                 content = json.loads(file.read(LARGEST_SUMMARY))
-            if summary.name == ARRANGEMENT:
-                return row | _arrangement(content)
             goal, residual = content["goal"], content["measured_residual"]
             row |= {
                 "began": _number(content["began"]),
+                "objects": sum(one["goal"] is not None for one in content.get("objects", ())) or 1,
                 "goal": goal and [_number(goal[key]) for key in ("x_mm", "y_mm", "theta_deg")],
                 "taps": int(content["taps"]),
                 "residual": residual
@@ -166,37 +161,6 @@ class Runs:
         except UNREADABLE:
             return row
         return row
-
-
-def _arrangement(content: dict[str, Any]) -> dict[str, object]:
-    """Return the values of a row from the summary of an arrangement."""
-    run = content["run"]
-    goals = [one for one in run["objects"] if one["goal"] is not None]
-    measured = [
-        (1000 * math.dist(one["end"][:2], one["goal"][:2]), _turn(one["end"][2] - one["goal"][2]))
-        for one in goals
-        if one["end"] is not None
-    ]
-    single = goals[0]["goal"] if len(goals) == 1 else None
-    return {
-        "began": _number(run["began"]),
-        "goal": single
-        and [_number(1000 * single[0]), _number(1000 * single[1]), _turn(single[2], signed=True)],
-        "objects": len(goals),
-        "taps": int(content["taps"]),
-        "residual": [_number(max(each[axis] for each in measured)) for axis in (0, 1)]
-        if measured
-        else None,
-        "error": str(content["error_msg"])[:500],
-        "outcome": "reached" if content["reached"] else "failed",
-    }
-
-
-def _turn(angle: float, signed: bool = False) -> float:
-    """Convert an angle from rad to degrees: -180 to 180 if ``signed``, otherwise the absolute
-    value."""
-    turn = math.degrees(math.remainder(angle, 2 * math.pi))
-    return round(turn if signed else abs(turn), 3)
 
 
 def _number(value: object) -> float | None:

@@ -17,7 +17,6 @@ from tapping_cell_msgs.msg import ArrangementState, GoalReport, PlanState
 from tapping_cell.configuration.cell import Cell, cells_of
 from tapping_cell.logic.planner import WORKING_STATES
 from tapping_cell.planning.prescribed import METHOD as PRESCRIBED
-from tapping_cell.report.arrangement_folder import write_arrangement_folder
 from tapping_cell.report.bag import BagError, BagWriter, Quality
 from tapping_cell.report.message_types import MessageTypes, UnknownMessageType
 from tapping_cell.report.run_folder import write_folder
@@ -171,16 +170,13 @@ class Recording:
         folder: Path,
         topics: dict[str, RecordedTopic],
         types: MessageTypes,
-        arrangement: bool = False,
     ) -> None:
-        """Open a bag for these topics, given by resolved name. ``arrangement``: whether the run is
-        an arrangement of objects instead of a single goal.
+        """Open a bag for these topics, given by resolved name.
 
         Raises:
             CannotRecord: the bag cannot be created.
         """
         self.folder = folder
-        self._arrangement = arrangement
         try:
             self._bag = BagWriter(folder / BAG, types, {"run": folder.name})
             for name, topic in topics.items():
@@ -215,10 +211,7 @@ class Recording:
         Raises:
             BagError, OSError: the bag contains no run, or the files cannot be written.
         """
-        if self._arrangement:
-            write_arrangement_folder(self.folder, page=pictures)
-        else:
-            write_folder(self.folder, pictures=pictures)
+        write_folder(self.folder, pictures=pictures)
 
 
 def is_own_goal(plan: PlanState) -> bool:

@@ -45,9 +45,7 @@ from tapping_cell.nodes.camera import images
 from tapping_cell.nodes.cell_node import LATCHED, CellNode, run
 from tapping_cell.nodes.cell_parameters import ObjectParameters
 from tapping_cell.nodes.conversions import seconds
-from tapping_cell.nodes.recorder.message_buffer import MessageBuffer
-from tapping_cell.nodes.recorder.message_reader import MessageReader
-from tapping_cell.nodes.recorder.polled_topics import PolledTopics
+from tapping_cell.nodes.recorder.reception import MessageBuffer, MessageReader, PolledTopics
 from tapping_cell.nodes.recorder.recording import (
     MEGABYTE,
     CannotRecord,
@@ -80,17 +78,13 @@ END_TIMEOUT_S = 4.0
 WRITE_PERIOD_S = 0.5
 POLL_PERIOD_S = 0.1
 REPEATED_WITHIN_S = 10.0
-"""A refused goal gets no folder if the previous refusal had the same code and message and was
-received less than this time before."""
+"""Time within which a repeated refusal gets no folder of its own."""
 RATE_SHARE = 0.8
-"""Minimum interval between recorded images, as a fraction of the period of the requested rate. If
-images arrive at the requested rate, their intervals are sometimes slightly shorter than the period.
-With a minimum of a full period, such images would not be recorded."""
+"""Minimum interval between recorded images, as a share of the requested period. Intervals vary, and
+a full period would drop images that are slightly early."""
 LONGEST_PATH = 1024
 DEPTH = 200
-"""Queue depth of a topic: the oldest messages are lost if more than this number arrive between two
-polls or, for the topics in FRAMES, before a goal begins. Images at 30 Hz fill the queue in
-6.7 s."""
+"""Queue depth of a topic between two polls. Images at 30 Hz fill it in 6.7 s."""
 
 _STREAM = QoSProfile(
     depth=DEPTH, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.VOLATILE
@@ -412,22 +406,25 @@ class RunRecorder(CellNode[Parameters]):
         return seconds(plan.header.stamp) <= seconds(end.header.stamp)
 
     def _on_goal_report(self, report: GoalReport) -> None:
-        if not report.refused:
-            self._end = report
-            if self._plan is not None and not self._arranging and same_goal(self._plan, report):
-                self._ends_at = time.monotonic() + TAIL_S
+        """End the recording of a goal that has ended, or record a goal that was refused."""
+        if report.refused:
+            if self._is_new_refusal(report) and self._plan is None:
+                self._begin(PlanState(header=report.header, goal=report.goal), refused=True)
+                self._ends_at = time.monotonic()
             return
-        # The topic is latched, so the last report is sent again to every new subscriber.
-        age = 1e-9 * self._now() - seconds(report.header.stamp)
+        self._end = report
+        if self._plan is not None and not self._arranging and same_goal(self._plan, report):
+            self._ends_at = time.monotonic() + TAIL_S
+
+    def _is_new_refusal(self, report: GoalReport) -> bool:
+        """Return whether a refusal is neither old nor a repetition of the last one, and remember
+        it. The topic is latched, so the last report is sent again to every new subscriber."""
         code, sentence, at = self._refusal
-        repeated = (code, sentence) == (report.error_code, report.error_msg)
         self._refusal = (report.error_code, report.error_msg, time.monotonic())
-        if age > LEAD_S or (repeated and time.monotonic() - at < REPEATED_WITHIN_S):
-            return
-        if self._plan is None:
-            asked = PlanState(header=report.header, goal=report.goal)
-            self._begin(asked, refused=True)
-            self._ends_at = time.monotonic()
+        if 1e-9 * self._now() - seconds(report.header.stamp) > LEAD_S:
+            return False
+        repeated = (code, sentence) == (report.error_code, report.error_msg)
+        return not repeated or time.monotonic() - at >= REPEATED_WITHIN_S
 
     def _begin(
         self, plan: PlanState, refused: bool, arrangement: ArrangementState | None = None
@@ -442,10 +439,9 @@ class RunRecorder(CellNode[Parameters]):
         this_run = {"began": began, "refused": refused, "arrangement": self._arranging}
         text = serialize_message(String(data=json.dumps(self._notes | this_run)))
         folder = self._run_parent
-        several = self._arranging
         # Messages that are taken from the buffer while no folder is open are lost, so the worker
         # opens the folder before the buffer contains messages to write.
-        self._submit(lambda: self._open(folder, name, several))
+        self._submit(lambda: self._open(folder, name))
         self._buffer.begin(self._now(), self._notes_topic, text)
         self._plan = plan
         self._ends_at = None
@@ -475,12 +471,12 @@ class RunRecorder(CellNode[Parameters]):
 
     # Writing: the worker's thread
 
-    def _open(self, folder: Path, name: str, arrangement: bool) -> None:
+    def _open(self, folder: Path, name: str) -> None:
         try:
             least_free = MEGABYTE * self.settings.least_free
             prepared = bool(self._name)
             made = new_folder(folder, name, self.settings.most_runs, least_free, prepared)
-            self._recording = Recording(made, self._topics, self._types, arrangement)
+            self._recording = Recording(made, self._topics, self._types)
         except CannotRecord as error:
             self._complain(str(error))
             return

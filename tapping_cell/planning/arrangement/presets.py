@@ -6,7 +6,6 @@ import math
 from collections.abc import Mapping
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from tapping_cell.planning.errors import PlanningError
 from tapping_cell.planning.free_space import FreeSpace
@@ -49,6 +48,9 @@ def preset_goals(
             for number, name in enumerate(names)
             if number ^ 1 < len(names)
         }
+    # Only this function needs scipy.optimize, which takes 0.1 s to import.
+    from scipy.optimize import linear_sum_assignment
+
     places = preset_places(preset, len(names), 2.0 * radius + gap, middle)
     here = np.array([[pose.x, pose.y] for pose in poses.values()])
     distance = np.hypot(*(here[:, None, :] - places[None, :, :]).transpose(2, 0, 1))

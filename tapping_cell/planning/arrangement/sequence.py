@@ -38,9 +38,7 @@ needed because taps may end beside the buffer place."""
 BUFFERS_TRIED = 12
 
 TOOL_CLEARANCE = 0.10
-"""An object at a buffer place obstructs taps at an unfinished goal if the gap between buffer place
-and goal is smaller than this value, m. The tool needs this space, and a polygon can be tapped along
-only a few lines."""
+"""Space, m, that the tool needs between a buffer place and an unfinished goal."""
 
 CROWDING_COST = 2.0
 """Extra cost, in taps, of a buffer place directly beside an unfinished goal."""
@@ -55,8 +53,7 @@ of the object out of the way, because those moves did not help enough. Close to 
 place the extra cost is doubled."""
 
 NARROW = 0.03
-"""If the gap between a buffer place and another object is smaller than this value, m, the buffer
-place has an extra cost of up to one tap."""
+"""Gap, m, below which a buffer place costs up to one tap more."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -45,16 +45,14 @@ COARSE_ANGLE = 1.5
 """Tolerance of the rotation of an object that is moved out of the way, rad."""
 
 TOUCHED = 0.002
-"""An object that was not tapped counts as touched if it was displaced by more than this value, m,
-plus an allowance for the camera's noise."""
+"""Displacement, m, beyond the camera's noise, above which an object counts as touched."""
 
 SETTLED = 0.0005
 """If another object was displaced by at most this value, m, it counts as stationary, and the map is
 reused."""
 
 STILL = 4.0
-"""An object at its goal counts as unmoved if two observations of it differ by at most this number
-of standard deviations of the difference."""
+"""Number of standard deviations up to which two observations show an object at rest."""
 
 MAX_TAPS_EACH = 60
 

@@ -19,17 +19,13 @@ from tapping_cell.planning.evaluation.task import (
 from tapping_cell.planning.evaluation.worlds import draw_starts
 from tapping_cell.planning.gains import Gains
 from tapping_cell.planning.interface import Array, Planner
-from tapping_cell.planning.session import WORTH_OBSERVING
+from tapping_cell.planning.session import MISSED
 from tapping_cell.planning.settings import PlannerSettings
-from tapping_cell.planning.stopping import CONFIDENCE, LONG_OBSERVATION, inside_probability
+from tapping_cell.planning.stopping import LONG_OBSERVATION
 from tapping_cell.se2 import difference
 
-MISSED = 0.1
-"""A tap has missed if it moved the object by less than this share of the expected distance."""
-
 ASIDE = math.radians(30.0)
-"""After a miss, the direction of the next tap is changed by a random angle of up to this value,
-because the same tap would miss again."""
+"""Largest random change of direction after a miss. The same tap would miss again."""
 
 
 def run_open_trials(
@@ -126,11 +122,6 @@ def observe_longer(
     While this is uncertain, an object is observed again, up to ``LONG_OBSERVATION`` observations in
     total. ``seen`` is overwritten with the mean of the observations."""
     camera_noise = settings.camera.deviations
-    tolerance = settings.tolerance_position, settings.tolerance_angle
-    if settings.box is not None:
-        left, box = difference(seen[rows], goal[rows]), settings.stopping
-        near = np.hypot(left[:, 0], left[:, 1]) <= box.distance
-        return np.asarray(near & (np.abs(left[:, 2]) <= box.rotation))
     inside = np.zeros(rows.size, dtype=bool)
     open_rows: NDArray[np.intp] = np.arange(rows.size)
     for observations in range(1, LONG_OBSERVATION + 1):
@@ -138,12 +129,11 @@ def observe_longer(
         if observations > 1:
             fresh = pose[at] + camera_noise * rng.standard_normal((at.size, 3))
             seen[at] += (fresh - seen[at]) / observations
-        probability = inside_probability(
-            difference(seen[at], goal[at]), settings.camera.covariance / observations, *tolerance
+        found = settings.arrival(
+            difference(seen[at], goal[at]), settings.camera.covariance / observations
         )
-        sure = probability >= CONFIDENCE
-        inside[open_rows[sure]] = True
-        open_rows = open_rows[~sure & (probability >= WORTH_OBSERVING)]
+        inside[open_rows[found.done]] = True
+        open_rows = open_rows[~found.done & found.doubtful]
         if open_rows.size == 0 or not np.any(camera_noise):
             break
     return inside

@@ -16,18 +16,22 @@ NORMAL_95 = 1.959963984540054
 def summarise(results: Results, planned_taps: int | None = None) -> dict[str, Any]:
     """Summarise an evaluation.
 
-    Trials that were refused before the first tap are excluded from ``success_rate`` and ``taps``.
-    ``success_rate``: share of trials that ended at the goal according to the session.
-    ``truly_inside_rate``: share of these trials in which the true pose is within the full
-    tolerance. ``planned_taps``: number of taps of the method's plan, for methods that guarantee it.
-    ``within_planned_rate``: share of trials that ended at the goal within this number.
+    ``success_rate``: share of all trials, the refused ones included, that ended at the goal
+    according to the session; ``done``: their number. ``truly_inside_rate``: share of the trials
+    done in which the true pose is within the full tolerance; ``truly_inside``: their number.
+    ``taps`` and ``seconds`` are of the trials that were not refused before the first tap.
+    ``planned_taps``: number of taps of the method's plan, for methods that guarantee it.
+    ``within_planned_rate``: share of all trials that ended at the goal within this number.
     """
     began = results.end != End.REFUSED_BEFORE
     done = results.end == End.DONE
+    everything = np.ones_like(done)
     taps = results.taps[began]
     summary: dict[str, Any] = {
         "trials": int(results.taps.size),
-        "success_rate": _share(done, began),
+        "done": int(np.sum(done)),
+        "success_rate": _share(done, everything),
+        "truly_inside": int(np.sum(results.inside & done)),
         "truly_inside_rate": _share(results.inside & done, done),
         "taps": tap_figures(taps),
         "refused_before": int(np.sum(~began)),
@@ -48,7 +52,7 @@ def summarise(results: Results, planned_taps: int | None = None) -> dict[str, An
         }
     if planned_taps is not None:
         summary["planned_taps"] = planned_taps
-        summary["within_planned_rate"] = _share(done & (results.taps <= planned_taps), began)
+        summary["within_planned_rate"] = _share(done & (results.taps <= planned_taps), everything)
     return summary
 
 

@@ -264,9 +264,8 @@ def _edges(samples: _EdgeSamples) -> MarkerEdges:
     black, white = (
         (level * samples.mask).sum(axis=1) / number for level in (samples.black, samples.white)
     )
-    q = samples.q + _uneven(samples, white)[:, None]
     points, weights = _condense(
-        samples.p, q, samples.kept, samples.low, samples.high, samples.steep
+        samples.p, samples.q, samples.kept, samples.low, samples.high, samples.steep
     )
     return MarkerEdges(
         points=points.reshape(count, 4, BINS, 2),
@@ -302,34 +301,6 @@ def _together(samples: _EdgeSamples) -> float:
         product = float((residual[:, lag:] * residual[:, :-lag]).sum()) / max(pairs, 1.0)
         factor += 2.0 * (product / square + 2.0 * len(kept) / max(float(number), 1.0))
     return max(factor, 1.0)
-
-
-def _uneven(samples: _EdgeSamples, white: Array) -> Array:
-    """Correction (S,) for uneven illumination, to be added to the positions of the sides along q.
-
-    The levels are measured m pixels outside and m pixels inside the edge. If the illumination
-    increases outwards by a fraction g per pixel, the levels at the edge differ from the measured
-    levels. To first order, an edge in a window of L pixels to either side then appears
-    L g (m - L / 2) pixels too far out. Opposite sides of a marker are displaced in the same
-    direction. The gradient g comes from the grey levels ``white`` (S,) beside the sides.
-    """
-    corners, each = samples.corners, np.arange(len(white))
-    away = samples.half_width - 0.5 * (_outermost(2 * samples.half_width + 1) - 1)
-    place = 0.5 * (corners + corners[:, [1, 2, 3, 0]]).reshape(-1, 2)
-    place[each, 1 - samples.steep.astype(np.intp)] += samples.outward * away
-    place, level = place.reshape(-1, 4, 2), white.reshape(-1, 4)
-    gaps = place[:, :2] - place[:, 2:]
-    turned = gaps[:, 0, 0] * gaps[:, 1, 1] - gaps[:, 0, 1] * gaps[:, 1, 0]
-    change = (level[:, :2] - level[:, 2:]) / np.maximum(level.mean(axis=1), 1.0)[:, None]
-    across = change[:, 0] * gaps[:, 1, 1] - change[:, 1] * gaps[:, 0, 1]
-    down = change[:, 1] * gaps[:, 0, 0] - change[:, 0] * gaps[:, 1, 0]
-    slopes = np.stack([across, down], axis=-1) / np.where(turned == 0.0, 1.0, turned)[:, None]
-    slope = np.where(samples.steep, slopes[:, 0].repeat(4), slopes[:, 1].repeat(4))
-    length = samples.half_width + 0.5
-    # ``slope`` is the gradient of the illumination towards increasing q, and the result is the
-    # correction of q. The sign of the outward direction is not needed: it would be a factor of both
-    # and would cancel.
-    return np.asarray(-slope * length * (away - 0.5 * length))
 
 
 def _along(p: Array, levels: Array, mask: Array) -> Array:

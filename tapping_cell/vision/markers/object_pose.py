@@ -33,21 +33,15 @@ An edge with a pull p above the noise level has an additional standard deviation
 _FREE, _USUAL_FREE = 4.0, 8.0
 """``_FREE``: degrees of freedom of the residuals when a square is fitted to four sides.
 ``_USUAL_FREE``: degrees of freedom of the prior for the usual size of these residuals."""
-_OBLONG_PIXELS, _OBLONG = 0.5, 0.006
-"""Allowed difference of length and width: ``_OBLONG_PIXELS`` pixels or ``_OBLONG`` times the side,
-whichever is more. A difference above both this limit and the limit given by ``_MORE_OBLONG`` means
-that an object beside the marker was mistaken for one of its sides."""
-_MORE_OBLONG, _MAX_OBLONG = 4.0, 0.03
-"""A poor lens, bent paper or a sharpened image affects all markers. Therefore a difference of up to
-``_MORE_OBLONG`` times the root mean square difference of the reference markers is also allowed,
-but at most ``_MAX_OBLONG`` times the side."""
+
+_NOISY_OBLONG = 9.0
+"""Squared difference of length and width, in variances of its noise, that is taken for noise."""
 
 
 def fit_marker(view: View, edges: MarkerEdges, row: int, marker: ObjectMarker) -> PoseFit | None:
     """Fit a square of known side, at the marker's height, to marker ``row`` of ``edges``.
 
-    The other rows are reference markers. Returns None if the edges are not valid or do not form a
-    square, for example if an object lies along a side.
+    Returns None if the edges are not valid.
     """
     if not edges.good[row]:
         return None
@@ -79,33 +73,19 @@ def fit_marker(view: View, edges: MarkerEdges, row: int, marker: ObjectMarker) -
     if not np.all(np.isfinite(pose)):
         return None
     left = distance - (rows @ step).reshape(distance.shape)
+    noise = max(float(edges.spread[row]), 0.01) * pixel
     total = np.maximum(weights.sum(axis=1), 1e-9)
     sides = (weights * left).sum(axis=1) / total
-    oblong = abs(float(sides[0] - sides[1] + sides[2] - sides[3]))
-    if oblong > max(_OBLONG_PIXELS * pixel, _OBLONG * marker.size) and (
-        oblong > _usually_oblong(view, edges, row) * marker.size
-    ):
-        return None
-    noise = max(float(edges.spread[row]), 0.01) * pixel
+    # An object that lies along a side displaces this side, and the square by half of that.
+    oblong = float(sides[0] - sides[1] + sides[2] - sides[3]) ** 2
+    displaced = 0.25 * max(oblong - _NOISY_OBLONG * noise**2 * float((1.0 / total).sum()), 0.0)
     noise *= _misfit(left, weights, noise)
     pull = min(max(float(edges.pull[row]) - _CLEAN, 0.0), 0.99)
     smeared = _SMEARED * pixel * pull / (1.0 - pull)
     covariance = inverse[:3, :3] * noise**2
-    covariance += np.diag(np.square([smeared, smeared, smeared / marker.size]))
+    extra = smeared**2 + displaced
+    covariance += np.diag([extra, extra, extra / marker.size**2])
     return PoseFit(pose, covariance, float(size))
-
-
-def _usually_oblong(view: View, edges: MarkerEdges, row: int) -> float:
-    """Return the allowed difference of length and width of the object's marker, as a fraction of
-    the side. The allowed difference is a multiple of the difference of length and width of the
-    reference markers (the other rows), or 0 if there are fewer than three reference markers."""
-    references = np.delete(edges.corners, row, axis=0)
-    if len(references) < 3:
-        return 0.0
-    seen = view.on_plane(references)
-    sides = np.linalg.norm(np.roll(seen, -1, axis=1) - seen, axis=2)
-    longer = np.abs(sides @ [1.0, -1.0, 1.0, -1.0]) / (0.5 * sides.sum(axis=1))
-    return min(_MORE_OBLONG * float(np.sqrt((longer**2).mean())), _MAX_OBLONG)
 
 
 def _metres(pixels: Array, seen: Array) -> Array:

@@ -49,7 +49,7 @@ class OutlineFollower(ObjectFollower):
         """Return points (N, 2) on the rim."""
         return np.asarray(transform_points(pose, self._shape.points()))
 
-    def searched(self, image: Image, search: Search) -> None:
+    def searched(self, search: Search) -> None:
         """Search the whole next frame for the outline."""
         self.wants_search = False
         self._search = True

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from tapping_cell.calibration.csv_table import RecordError
@@ -47,7 +47,6 @@ def test_the_default_is_that_of_the_paper() -> None:
     travels=st.lists(st.floats(0.02, 0.13), min_size=60, max_size=60),
     luck=st.lists(st.floats(-0.25, 0.25), min_size=60, max_size=60),
 )
-@settings(max_examples=60, deadline=None)
 def test_the_object_stays_near_the_middle(travels: list[float], luck: list[float]) -> None:
     place = Pose(0.0, 0.0, 0.0)
     for number, (travel, error) in enumerate(zip(travels, luck, strict=True)):
@@ -73,7 +72,6 @@ def test_outward_trials_cover_every_direction_and_return_on_the_same_line() -> N
     theta=st.floats(-3.1, 3.1),
     speed=st.floats(0.1, 2.0),
 )
-@settings(max_examples=50, deadline=None)
 def test_the_contact_follows_from_the_geometry(
     angle: float, incidence: float, theta: float, speed: float
 ) -> None:

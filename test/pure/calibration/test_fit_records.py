@@ -8,7 +8,7 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from single_tap_records import DISK, STRIKER, TRUE, taps, track, write
 
@@ -50,7 +50,6 @@ def times(*names, factor):
     return change
 
 
-@settings(max_examples=40, deadline=None)
 @given(data=st.data())
 def test_a_trial_is_read_back_as_written(tmp_path_factory, data):
     values = {}

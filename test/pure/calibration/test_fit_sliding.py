@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import binom
 from single_tap_records import DISK, TRUE, track
@@ -28,7 +28,6 @@ SQUARE = Polygon([(-0.04, -0.04), (0.04, -0.04), (0.04, 0.04), (-0.04, 0.04)], 0
 
 
 @pytest.mark.parametrize("body", BODIES, ids=["disk", "ring"])
-@settings(max_examples=25, deadline=None)
 @given(
     speed=st.floats(0.03, 1.0),
     ratio=st.floats(-8.0, 8.0),

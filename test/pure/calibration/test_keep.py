@@ -56,7 +56,7 @@ def test_a_missing_folder_is_named(tmp_path: Path) -> None:
         refuse_existing(Output(tmp_path / "none" / "a.yaml"))
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=settings.default.max_examples // 5)
 @given(residual=st.floats(0.0, 1.0), uncertainty=st.floats(0.0, 1.0))
 def test_force_replaces_only_a_file_that_is_not_better(
     tmp_path_factory: pytest.TempPathFactory, residual: float, uncertainty: float

@@ -41,7 +41,7 @@ def drawn(seed: int) -> tuple[ObjectFile, float, float]:
     return replace(GUESS, shape=shape), friction, factor
 
 
-def learnt(seed: int, count: int = 16, bumps: int = 0) -> tuple[LearntObject, float, float]:
+def learnt(seed: int, count: int = 12, bumps: int = 0) -> tuple[LearntObject, float, float]:
     content, friction, factor = drawn(seed)
     random = np.random.default_rng(100 + seed)
     tap = replace(content.tap(STRIKER), smallest_distance=0.0)
@@ -65,9 +65,7 @@ def learnt(seed: int, count: int = 16, bumps: int = 0) -> tuple[LearntObject, fl
     return learn_object(content, asked, moved), friction, factor
 
 
-# each test needs up to a few minutes of processor time, and longer if other tests run
-@pytest.mark.timeout(900)
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(3), ids=["disk", "ring", "polygon"])
 def test_friction_and_torque_factor_of_unknown_objects_are_learnt(seed: int) -> None:
     found, friction, factor = learnt(seed)
     assert found.content.friction == pytest.approx(friction, rel=0.08)

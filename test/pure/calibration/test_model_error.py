@@ -18,6 +18,7 @@ from tapping_cell.simulation.truth import ImpactTruth, ScatterTruth, SupportTrut
 
 RUNS = 4
 STRIKER = StrikerSection(0.1, 0.0054, "free")
+DESIGN = Design(trials=6)
 
 
 def taps(
@@ -80,10 +81,10 @@ def test_intervals_contain_new_taps_at_new_settings(setting: float, place: float
         assert 0.93 < np.mean(shares) < 0.985
 
 
-def fitted(truth: TruthFile, assumed: float = 0.2, design: Design | None = None) -> ObjectFit:
+def fitted(truth: TruthFile, assumed: float = 0.2, design: Design = DESIGN) -> ObjectFit:
     disk = replace(load_cell().object, contact_friction=assumed)
     scattered = replace(truth, scatter=ScatterTruth(0.025, 0.05, 0.01745))
-    experiment = simulated_experiment(load_cell().object, STRIKER, scattered, design or Design(), 3)
+    experiment = simulated_experiment(load_cell().object, STRIKER, scattered, design, 3)
     return fit_object([experiment], disk)
 
 

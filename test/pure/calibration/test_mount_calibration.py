@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from report_parts import made_run, tap_row
 
 from tapping_cell.calibration.mounts import MAX_DEVIATION, TapScatter, fit_mount
 from tapping_cell.cli import main
 from tapping_cell.configuration.cell import load_cell
 from tapping_cell.configuration.files import shared_folder
-from tapping_cell.report.run import Run, TapRow
+from tapping_cell.report.run import Run
 from tapping_cell.report.run_folder import write_illustrated_run
 from tapping_cell.report.run_reader import IllustratedRun
 from tapping_cell.se2 import Pose, wrap_angle
@@ -109,46 +109,19 @@ def test_the_verb_writes_the_measured_mounts(tmp_path: Path) -> None:
     assert found.calibration.observations + found.calibration.left_out == 16
 
 
-def run_of(name: str, taps) -> Run:
+def run_of(name: str, taps, object_name: str = CELL.object.name) -> Run:
     """Return a run of taps by one tapper, as the recorder writes it."""
     rows = [
-        TapRow(
-            number=number,
-            tap_id=number,
-            method="fixed tappers",
+        tap_row(
+            number,
             before=Pose(*before),
-            commanded=Pose(0.0, 0.0, 0.0),
-            predicted=Pose(*after),
             measured=Pose(*after),
-            true_pose=None,
-            strike=Pose(0.0, 0.0, 0.0),
             striker_speed=float(speed),
-            contact_angle=0.0,
-            outcome="fired",
             tapper=name,
         )
         for number, (speed, before, after) in enumerate(taps, start=1)
     ]
-    end = rows[-1].measured
-    return Run(
-        name="made",
-        goal=end,
-        start=rows[0].before,
-        tolerance=(0.001, 0.0174),
-        taps=tuple(rows),
-        final_measured=end,
-        final_true=None,
-        outcome="reached",
-        wall_time=1.0,
-        seed=None,
-        versions={},
-        error_code=0,
-        error_msg="",
-        outline=(),
-        table_size=(0.6, 0.44),
-        object_name=CELL.object.name,
-        began=0.0,
-    )
+    return made_run(rows, object_name=object_name, began=0.0)
 
 
 def test_the_verb_reads_the_taps_of_goals_from_run_folders(tmp_path: Path, capsys) -> None:
@@ -185,7 +158,7 @@ def test_the_verb_reads_the_taps_of_goals_from_run_folders(tmp_path: Path, capsy
         assert main([*mixed, "--output", str(tmp_path / "mixed.yaml")]) == 2
         assert words in capsys.readouterr().err
 
-    other = replace(run_of(entry.name, taps), object_name="teapot")
+    other = run_of(entry.name, taps, "teapot")
     write_illustrated_run(folders[0], IllustratedRun(other, ()), pictures=False)
     assert main([*command, "--output", str(tmp_path / "other.yaml")]) == 2
     assert "teapot" in capsys.readouterr().err

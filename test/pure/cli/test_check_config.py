@@ -80,9 +80,7 @@ def test_the_files_that_a_cell_names_are_checked_too(folder: Path) -> None:
     )
 
 
-def test_the_home_folder_in_the_path_of_a_further_object_is_expanded(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_home_folder_in_the_path_of_a_further_object_is_expanded(folder, monkeypatch):
     monkeypatch.setenv("HOME", str(folder / "objects"))
     cell = change(folder / "cell.yaml", ("objects", ["~/plexiglas_disk.yaml"]))
     assert errors(cell) == []
@@ -107,13 +105,12 @@ def test_the_home_folder_in_the_path_of_a_further_object_is_expanded(
         ("cell.yaml", "goal.planner", "guess", "must be one of"),
         ("cell.yaml", "arm.base", [0.0, 4.0, -1.57], "the arm can tap the object nowhere"),
         ("cell.yaml", "table.width", 0.08, "fits nowhere"),
-        ("cell.yaml", "tapper.speeds", [0.9, 1.0, 1.1, 1.2, 1.3], "slowest speed"),
+        ("cell.yaml", "tapper.speeds", [0.9, 1.0, 1.1, 1.2, 1.3], "more than the charged"),
+        ("camera_info.yaml", "image_width", 2560, "fits an image of about 1279 x 1023"),
         ("cell.yaml", "tapper.energies", [1e-5, 1e-4], "shorter"),
     ],
 )
-def test_contradictions_are_reported(
-    file: str, key: str, value: Any, words: str, folder: Path
-) -> None:
+def test_contradictions_are_reported(file, key, value, words, folder):
     change(folder / file, (key, value))
     found = errors(folder / "cell.yaml")
     assert found and (words == "shorter" or any(words in sentence for sentence in found)), found
@@ -126,15 +123,9 @@ def test_a_value_that_may_be_valid_is_a_warning(folder: Path) -> None:
         ("camera.position_noise", 0.0008),
         ("arm.base", [0.0, 0.80, -1.57]),
     )
-    change(folder / "camera_info.yaml", ("image_width", 2560))
     (found, *_) = check(cell)
     assert found.errors == []
-    for words in (
-        "/dev/nothing",
-        "position_tolerance",
-        "are within the arm's reach for taps",
-        "principal point",
-    ):
+    for words in ("/dev/nothing", "position_tolerance", "are within the arm's reach for taps"):
         assert any(words in sentence for sentence in found.warnings), (words, found.warnings)
 
 
@@ -189,9 +180,7 @@ def test_a_parameter_file_is_checked_against_the_nodes(tmp_path: Path) -> None:
         ("tap_planner: {ros__parameters: {}, values: {ask: true}}", "tap_planner/values", "ask"),
     ],
 )
-def test_a_key_outside_ros_parameters_is_reported(
-    text: str, place: str, key: str, tmp_path: Path
-) -> None:
+def test_a_key_outside_ros_parameters_is_reported(text, place, key, tmp_path):
     path = tmp_path / "parameters.yaml"
     path.write_text(text)
     assert errors(path) == [
@@ -199,9 +188,7 @@ def test_a_key_outside_ros_parameters_is_reported(
     ]
 
 
-def test_the_verb_returns_an_exit_status_and_json(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_verb_returns_an_exit_status_and_json(folder, capsys):
     cell = folder / "cell.yaml"
     assert main(["check-config", str(cell), str(folder / "truth" / "default.yaml")]) == 0
     assert "ok" in capsys.readouterr().out

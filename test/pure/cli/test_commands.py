@@ -4,6 +4,7 @@ works."""
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import re
 import shlex
@@ -15,7 +16,7 @@ import pytest
 import reference_pages
 
 from benchmarks.__main__ import make_parser
-from tapping_cell.cli import VERBS, main, verb_parser
+from tapping_cell.cli import VERBS, verb_parser
 
 
 @pytest.mark.parametrize("verb", VERBS)
@@ -46,11 +47,47 @@ def test_every_command_in_the_documents_parses(page: Path) -> None:
         make_parser().parse_args(shlex.split(line, comments=True))
 
 
-def test_the_former_benchmark_verb_names_its_replacement(capsys) -> None:
-    with pytest.raises(SystemExit) as ended:
-        main(["bench", "--section", "mechanics"])
-    assert ended.value.code == 2
-    assert "python -m benchmarks" in capsys.readouterr().err
+TYPOS = """
+import contextlib, io, json, sys
+from tapping_cell.cli import main
+for words in json.loads(sys.argv[1]):
+    with contextlib.redirect_stderr(io.StringIO()) as said, contextlib.suppress(SystemExit):
+        main(words)
+    print(said.getvalue().strip().replace(chr(10), " "))
+print(sorted({"numpy", "cv2", "scipy", "rclpy", "matplotlib", "yaml"} & set(sys.modules)))
+"""
+
+
+def test_a_typo_is_refused_with_a_suggestion_before_a_verb_is_loaded() -> None:
+    known = json.loads(reference_pages.options_file())
+    lines, expected = [], []
+    for name, options in known.items():
+        for option, choices in options.items():
+            if not option.startswith("--"):
+                continue
+            lines += [[*name.split(), f"{option}x"], [*name.split(), f"{option}x=1"]]
+            expected += [f"there is no argument {option}x", f"did you mean '{option}'"]
+            abbreviated = option[: max(3, len(option) - 2)]
+            if abbreviated not in options:
+                lines.append([*name.split(), abbreviated, "1"])
+                expected.append(f"there is no argument {abbreviated}")
+            if choices:
+                lines.append([*name.split(), option, f"{choices[0]}x"])
+                expected.append(f"{option} cannot be '{choices[0]}x'")
+    lines.append(["calibrate", "camra"])
+    expected.append("did you mean 'camera'")
+    ended = subprocess.run(
+        [sys.executable, "-c", TYPOS, json.dumps(lines)],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=True,
+    )
+    *said, loaded = ended.stdout.splitlines()
+    assert len(said) == len(expected) > 300
+    for words, text, sentence in zip(lines, expected, said, strict=True):
+        assert text in sentence, words
+    assert loaded == "[]"
 
 
 @pytest.mark.parametrize("verb", VERBS)

@@ -17,10 +17,10 @@ from tapping_cell.calibration.target import find_target
 from tapping_cell.calibration.yaml_edit import with_value
 from tapping_cell.cli import commission, main
 from tapping_cell.cli.calibration.photographs_verb import TARGET
+from tapping_cell.cli.commission import PAGE
 from tapping_cell.cli.commissioning import steps
 from tapping_cell.cli.commissioning.session import RECORD, Proof, Session, StepFailed
 from tapping_cell.nodes.clients.single_tap_client import NoAnswer
-from tapping_cell.report.commissioning_page import PAGE
 
 
 def session_in(folder: Path) -> Session:
@@ -52,9 +52,7 @@ def test_a_recorded_proof_is_found_again(tmp_path: Path) -> None:
     assert (found["sentence"], found["values"], found["seconds"]) == ("sharp", {"rms_px": 0.1}, 3.2)
 
 
-def test_a_failed_step_is_reported_and_the_next_call_resumes_there(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_failed_step_is_reported_and_the_next_call_resumes_there(tmp_path, monkeypatch, capsys):
     done: list[str] = []
 
     def good(_: Session) -> Proof:
@@ -88,13 +86,8 @@ def test_a_failed_step_is_reported_and_the_next_call_resumes_there(
     ],
 )
 def test_a_folder_is_either_simulated_or_on_hardware(
-    first: str,
-    second: str,
-    words: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+    first, second, words, tmp_path, monkeypatch, capsys
+):
     done: list[bool] = []
 
     def step(session: Session) -> Proof:
@@ -116,9 +109,7 @@ def test_a_folder_is_either_simulated_or_on_hardware(
     assert (tmp_path / "cell" / RECORD).read_bytes() == before
 
 
-def test_the_mode_is_stored_before_the_first_step_has_succeeded(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_mode_is_stored_before_the_first_step_has_succeeded(tmp_path, monkeypatch):
     def step(_: Session) -> Proof:
         raise StepFailed("the lamp is off")
 
@@ -136,11 +127,8 @@ def test_the_examples_use_one_folder_for_the_simulation_and_another_for_hardware
 
 @pytest.mark.parametrize("end", [StepFailed("the lamp is off"), KeyboardInterrupt()])
 def test_a_repetition_that_does_not_succeed_loses_the_earlier_result(
-    end: BaseException,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+    end, tmp_path, monkeypatch, capsys
+):
     recording, found, ends = tmp_path / "arm.csv", [], [None, end, end, None]
 
     def step(_: Session) -> Proof:
@@ -183,13 +171,7 @@ def test_a_repetition_that_does_not_succeed_loses_the_earlier_result(
         ),
     ],
 )
-def test_a_damaged_record_is_refused(
-    content: bytes,
-    words: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_a_damaged_record_is_refused(content, words, tmp_path, monkeypatch, capsys):
     use_step(monkeypatch, lambda _: Proof("measured"))
     (tmp_path / RECORD).write_bytes(content)
     assert main(["commission", "--yes", "--out", str(tmp_path)]) == 2
@@ -209,13 +191,7 @@ def test_a_damaged_record_is_refused(
         (StepFailed("too slow; continue with --resume"), "too slow"),
     ],
 )
-def test_an_error_in_a_step_is_reported_in_a_sentence(
-    error: Exception,
-    words: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_an_error_in_a_step_is_reported_in_a_sentence(error, words, tmp_path, monkeypatch, capsys):
     def step(_: Session) -> Proof:
         raise error
 
@@ -226,9 +202,7 @@ def test_an_error_in_a_step_is_reported_in_a_sentence(
     assert "--resume" not in printed.err and "finished steps are kept" in printed.out
 
 
-def test_a_full_disk_while_a_result_is_stored_is_reported(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_full_disk_while_a_result_is_stored_is_reported(tmp_path, monkeypatch, capsys):
     def full(*_: object, **__: object) -> None:
         raise OSError(28, "No space left on device")
 
@@ -248,12 +222,8 @@ def test_a_full_disk_while_a_result_is_stored_is_reported(
 @pytest.mark.parametrize("hardware", [True, False])
 @pytest.mark.parametrize("prompt", ["instruct", "ask"])
 def test_the_end_of_the_input_at_a_prompt_is_reported(
-    prompt: str,
-    hardware: bool,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+    prompt, hardware, tmp_path, monkeypatch, capsys
+):
     def step(session: Session) -> Proof:
         if prompt == "instruct":
             session.instruct("close the guard")
@@ -270,9 +240,7 @@ def test_the_end_of_the_input_at_a_prompt_is_reported(
     assert ("--yes" in error) is not hardware
 
 
-def test_an_interrupted_calibration_interrupts_the_session(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_interrupted_calibration_interrupts_the_session(tmp_path, monkeypatch, capsys):
     def step(session: Session) -> Proof:
         session.verb("calibrate", "arm")
         return Proof("calibrated")
@@ -285,9 +253,7 @@ def test_an_interrupted_calibration_interrupts_the_session(
     assert "interrupted; the same command resumes at this step" in output.out and not output.err
 
 
-def test_an_interrupted_copy_of_the_files_is_completed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_interrupted_copy_of_the_files_is_completed(tmp_path, monkeypatch):
     copy = shutil.copytree
 
     def interrupted(source: Path, target: Path, **options: object) -> None:
@@ -304,9 +270,7 @@ def test_an_interrupted_copy_of_the_files_is_completed(
     assert [path.name for path in tmp_path.iterdir()] == ["config"]
 
 
-def test_commissioning_hardware_without_confirmations_is_refused(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_commissioning_hardware_without_confirmations_is_refused(capsys):
     assert main(["commission", "--yes", "--hardware"]) == 2
     assert "a person must watch every step" in capsys.readouterr().err
 

@@ -44,9 +44,7 @@ def made_runs(folder: Path) -> list[str]:
     return folders
 
 
-def test_an_object_file_is_learnt_from_runs(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_object_file_is_learnt_from_runs(tmp_path, capsys):
     runs, made = made_runs(tmp_path), tmp_path / "learnt.yaml"
     own = tmp_path / "guess.yaml"
     name = json.loads((Path(runs[0]) / "summary.json").read_text())["object"]
@@ -68,9 +66,7 @@ def test_an_object_file_is_learnt_from_runs(
     assert load_object(made).calibration is not None
 
 
-def test_runs_of_another_object_and_no_runs_are_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_runs_of_another_object_and_no_runs_are_refused(tmp_path, capsys):
     assert main(["learn-object", str(tmp_path), "--object", str(DISK)]) == 2
     assert "cannot be read" in capsys.readouterr().err
     runs = made_runs(tmp_path)

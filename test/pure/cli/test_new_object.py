@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tapping_cell.cli import main
-from tapping_cell.cli.object_probing import REACH, goal_of
+from tapping_cell.cli.learn_object import REACH, goal_of
 from tapping_cell.configuration.files import shared_folder
 from tapping_cell.configuration.objects import load_object
 from tapping_cell.configuration.table import load_camera_model, load_reference_map
@@ -32,9 +32,7 @@ def picture(tmp_path: Path) -> Path:
     return path
 
 
-def test_an_image_is_converted_to_an_object_file(
-    tmp_path: Path, picture: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_image_is_converted_to_an_object_file(tmp_path, picture, capsys):
     made = tmp_path / "square.yaml"
     words = ["new-object", str(picture), "--name", "square", "--height", "12"]
     assert main([*words, "--output", str(made)]) == 0

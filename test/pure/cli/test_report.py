@@ -13,25 +13,29 @@ from tapping_cell.cli import main
 from tapping_cell.report.run_folder import write_folder
 
 
-@pytest.fixture
-def runs(tmp_path: Path) -> Path:
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Write three runs as a recorder does, and the folder of the nodes' logs."""
+    root = tmp_path_factory.mktemp("written")
     for name, made in (
         ("good", MadeRun(STOPS)),
         ("bad", MadeRun(STOPS, state=8, code=503, sentence="alarm")),
         ("refused", MadeRun(STOPS[:1], refused=True, state=8, code=103, sentence="off")),
     ):
-        folder = tmp_path / "runs" / name
-        folder.mkdir(parents=True)
+        folder = root / name
+        folder.mkdir()
         made.write(folder)
         write_folder(folder, pictures=False)
-    (tmp_path / "runs" / "up").mkdir()
-    return tmp_path / "runs"
+    (root / "up").mkdir()
+    return root
 
 
-def test_a_run_is_reported_again_with_and_without_its_bag(
-    runs: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+@pytest.fixture
+def runs(written: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(written, tmp_path / "runs"))
+
+
+def test_a_run_is_reported_again_with_and_without_its_bag(runs, capsys):
     folder = runs / "good"
     (folder / "summary.json").unlink()
     assert main(["report", str(folder)]) == 0
@@ -67,11 +71,9 @@ def test_runs_are_compared(runs: Path, capsys: pytest.CaptureFixture[str]) -> No
     assert "3 runs, 1 reached their goal" in page and 'href="../good/report.html"' in page
 
 
-def test_files_that_are_no_bags_are_skipped_among_several_paths(
-    runs: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    for _ in range(2):  # the first comparison is one of the paths of the second
-        assert main(["report", *(str(path) for path in sorted(runs.iterdir()))]) == 0
+def test_files_that_are_no_bags_are_skipped_among_several_paths(runs, capsys):
+    (runs / "comparison.html").touch()  # of an earlier comparison
+    assert main(["report", *(str(path) for path in sorted(runs.iterdir()))]) == 0
     output = " ".join(capsys.readouterr().out.split())
     assert f"{runs / 'comparison.html'} is not a run: skipped" in output
     assert main(["report", str(runs / "comparison.html")]) == 2
@@ -79,9 +81,7 @@ def test_files_that_are_no_bags_are_skipped_among_several_paths(
     assert main(["report", str(runs / "nowhere.html"), str(runs / "good")]) == 1
 
 
-def test_an_invalid_run_folder_is_refused_with_a_message(
-    runs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_invalid_run_folder_is_refused_with_a_message(runs, tmp_path, capsys):
     assert main(["report", str(runs / "up")]) == 2
     assert main(["report", str(tmp_path / "nowhere")]) == 2
     (tmp_path / "text.mcap").write_text("hello")

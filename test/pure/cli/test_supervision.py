@@ -39,9 +39,7 @@ def test_a_killed_node_is_named_and_restarted(name: str) -> None:
 
 
 @pytest.mark.parametrize(("name", "ends"), [("operator_page", False), ("tapper_trigger", True)])
-def test_a_node_that_ends_repeatedly_is_restarted_a_limited_number_of_times(
-    name: str, ends: bool
-) -> None:
+def test_a_node_that_ends_repeatedly_is_restarted_a_limited_number_of_times(name, ends):
     graph, now = FakeGraph(), 0.0
     supervisor = Supervisor(graph)  # type: ignore[arg-type]
     for _ in range(MAX_RESTARTS):

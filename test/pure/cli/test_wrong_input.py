@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import time
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -10,8 +10,6 @@ import pytest
 from tapping_cell.cli import main
 from tapping_cell.configuration.files import shared_folder
 
-LONGEST_S = 2.0
-"""Limit of the processor time, s. The elapsed time would depend on the load of the machine."""
 WRONG: list[tuple[str, str]] = [
     ("", "no verb was given"),
     ("dance", "there is no verb 'dance'"),
@@ -63,7 +61,6 @@ WRONG: list[tuple[str, str]] = [
     ("doctor --cell /nowhere/cell.yaml", "/nowhere/cell.yaml"),
     ("completion --shell tcsh", "choose from bash, zsh, fish"),
     ("fit /nowhere/records", "/nowhere/records"),
-    ("faults --taps 0", "at least 1"),
     ("sensitivity --distance nan", "'nan' is not a finite number"),
     # Options that exclude each other or have no effect.
     ("demo --move 10 0 10 --goal 0 0 0", "not allowed with argument --move"),
@@ -74,8 +71,6 @@ WRONG: list[tuple[str, str]] = [
     ("up --hardware --seed 3", "only in simulation"),
     ("up --no-record --runs elsewhere", "only without --no-record"),
     ("evaluate --sweep friction=0.1:0.4:7", "--report"),
-    ("faults --taps 10 --goals 3", "--goals"),
-    ("faults --goals 3 --set-up --several-objects", "exclude each other"),
     # Values that no cell can accept.
     ("demo --goal 5000 0 0", "outside the usable area"),
     ("demo --goal 0 -221 0", "(103)"),
@@ -91,7 +86,6 @@ WRONG: list[tuple[str, str]] = [
     ("up --page 192.0.2.7:8010", "no server can listen at 192.0.2.7"),
     ("evaluate --box nan", "'nan' is not a finite number"),
     ("commission --again breakfast", "choose from"),
-    ("faults --dialect klipper", "choose from"),
     # Files of the wrong kind or with wrong content.
     ("demo --cell FILES/binary.yaml", "is not UTF-8 text"),
     ("demo --cell FILES/latin.yaml", "is not UTF-8 text"),
@@ -123,7 +117,6 @@ WRONG: list[tuple[str, str]] = [
     ("single-tap --namespace left", "only with --attach"),
     ("single-tap --truth FILES/list.yaml", "must be a mapping"),
     ("single-tap --incidences 90", "within +-60 deg"),
-    ("faults --crashes --node nobody", "unknown: nobody"),
     (
         "calibrate arm a.csv --record --namespace a$b --output c.yaml",
         "'a$b' is not a ROS namespace",
@@ -157,7 +150,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ("binary.yaml", bytes(range(256)) * 8),
         ("latin.yaml", "name: Zelle für Käse".encode("latin-1")),
         ("huge.yaml", b"a: [" + b"1, " * 1_000_000 + b"1]"),
-        ("deep.yaml", b"[" * 100_000),
+        ("deep.yaml", b"[" * 2_000),
         ("list.yaml", b"- 1\n- 2\n"),
         ("tab.yaml", b"name: cell\n\tarm: 3\n"),
         ("outside.yaml", b"tap_planner: {ros__parameters: {ask: true}, use_sim_time: false}"),
@@ -179,30 +172,19 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.parametrize(("line", "words"), WRONG, ids=[f"{a} ({b})" for a, b in WRONG])
 def test_invalid_input_is_refused_in_one_sentence(
-    line: str,
-    words: str,
-    hardware_cell: Path,
-    files: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+    line, words, hardware_cell, files, tmp_path, monkeypatch, capsys
+):
     monkeypatch.chdir(tmp_path)
     line = line.replace("HARDWARE", str(hardware_cell)).replace("FILES", str(files))
-    # The first call of a verb also imports its module. The second call measures only the refusal.
-    for _ in range(2):
-        began = time.process_time()
-        try:
-            status = main(line.split())
-        except SystemExit as ended:
-            status = int(ended.code or 0)
-        took = time.process_time() - began
-        output = capsys.readouterr()
-        if took < LONGEST_S:
-            break
+    monkeypatch.setattr(subprocess, "Popen", lambda command, **_: pytest.fail(f"{command} began"))
+    try:
+        status = main(line.split())
+    except SystemExit as ended:
+        status = int(ended.code or 0)
+    output = capsys.readouterr()
     lines = output.err.strip().splitlines()
     assert status == 2, output
     assert [text for text in lines if not text.startswith("what to do: ")] == lines[:1], output.err
     assert lines[0].startswith("error: ") and words in lines[0], output.err
-    assert not output.out and took < LONGEST_S, (output.out, took)
+    assert not output.out
     assert not list(tmp_path.iterdir()), "something was begun"

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from tapping_cell.configuration.schema import (
@@ -113,7 +113,6 @@ def test_a_missing_file_is_named(tmp_path: Path) -> None:
         load(Outer, tmp_path / "nowhere.yaml")
 
 
-@settings(deadline=None)
 @given(length=st.floats(-2.0, 3.0), depth=st.floats(0.0, 1.0))
 def test_written_files_are_read_back(
     tmp_path_factory: pytest.TempPathFactory, length: float, depth: float

@@ -28,8 +28,17 @@ def refusal(load, path: Path, content: str) -> str:
     [
         ("[" * 3000 + "]" * 3000, "nested too deeply"),
         ("{[1, 2]: 3}", "a key must be a word"),
-        ("a: 2020-13-45", "month"),
-        ("a: " + "9" * 6000, "digits"),
+        ("a: " + "9" * 6000, "6000 digits"),
+        ("[" * 400_000, "nested too deeply"),
+        ("a: &a [*a]", "alias *a has no anchor before it"),
+        ("a: 1\n---\nb: 2", "line 2, column 1: a second document"),
+        ("a: !!python/tuple [1]", "tag:yaml.org,2002:python/tuple is not supported"),
+        (
+            "a: &a [1,2,3,4,5,6,7,8,9]\nb: &b [*a,*a,*a,*a,*a,*a,*a,*a,*a]\n"
+            "c: &c [*b,*b,*b,*b,*b,*b,*b,*b,*b]\nd: &d [*c,*c,*c,*c,*c,*c,*c,*c,*c]\n"
+            "e: &e [*d,*d,*d,*d,*d,*d,*d,*d,*d]\nf: [*e,*e,*e,*e,*e,*e,*e,*e,*e]",
+            "more than 100000 values",
+        ),
         ("# " + "x" * 1_100_000, "has 1.1 MB"),
     ],
 )

@@ -3,13 +3,14 @@ result is reported, and nothing hangs."""
 
 from __future__ import annotations
 
+import argparse
 import json
 
 import numpy as np
 import pytest
 
-from tapping_cell.cli import main
-from tapping_cell.cli.fault_trials import Dialect, TrialCell, bytes_of_a_tap, run_sweep, run_taps
+from lab.commands import drivers
+from lab.drivers.driver_trials import Dialect, TrialCell, bytes_of_a_tap, run_sweep, run_taps
 from tapping_cell.hardware.tapper import FireOutcome
 from tapping_cell.simulation.fault_layer import (
     Direction,
@@ -20,27 +21,26 @@ from tapping_cell.simulation.fault_layer import (
 )
 
 THOROUGH = (Dialect.GRBL, Dialect.MARLIN)
-"""Dialects with complete tests. The tests of the other dialects are shorter."""
+"""Dialects with complete tests."""
+TAPS = 30
+"""Number of taps of the tests with random faults."""
 
 
 @pytest.mark.parametrize("dialect", Dialect)
 def test_random_faults(dialect: Dialect) -> None:
-    taps = 80 if dialect in THOROUGH else 30
-    tally = run_taps(dialect, taps, seed=20)
+    tally = run_taps(dialect, TAPS, seed=20)
     assert tally.clean, tally.notes
-    assert tally.taps == taps == tally.fired + tally.not_fired + tally.unknown
-    assert tally.faults_struck > taps / 3
+    assert tally.taps == TAPS == tally.fired + tally.not_fired + tally.unknown
+    assert tally.faults_struck > TAPS / 3
     # Most taps must still be fired: a driver that refuses everything would be safe but useless.
-    assert tally.fired > taps / 2
+    assert tally.fired > TAPS / 2
 
 
 @pytest.mark.parametrize(
     ("dialect", "seed"),
     [(Dialect.MARLIN, 1_000_003), (Dialect.GRBL, 1_000_048), (Dialect.MARLIN, 2_000_073)],
 )
-def test_seeds_that_once_gave_a_false_report_or_an_unreset_board(
-    dialect: Dialect, seed: int
-) -> None:
+def test_seeds_that_once_gave_a_false_report_or_an_unreset_board(dialect, seed):
     """Regression tests for three cases: one line number was used for two lines; a wrong bit changed
     a move line to G92; after a corrupted answer to M115, a stop halted the board while its cable
     was disconnected."""
@@ -51,10 +51,10 @@ def test_seeds_that_once_gave_a_false_report_or_an_unreset_board(
 @pytest.mark.parametrize("dialect", THOROUGH)
 @pytest.mark.parametrize("kind", [FaultKind.RESET, FaultKind.HANG_UP])
 def test_a_reset_or_an_unplugged_cable_during_a_tap(dialect: Dialect, kind: FaultKind) -> None:
-    """A fault occurs at one byte of a tap. About 12 bytes of each line and direction are tested
-    here; `faults --every-byte` tests all bytes."""
+    """A fault occurs at one byte of a tap. About four bytes of each line and direction are tested
+    here; `lab drivers --every-byte` tests all bytes."""
     for (line, direction), count in bytes_of_a_tap(dialect).items():
-        step = max(41, count // 12)
+        step = max(41, count // 4)
         tally = run_sweep(dialect, kind, line, direction, range(0, count, step))
         assert tally.clean, tally.notes
         assert tally.faults_struck > 0
@@ -159,9 +159,7 @@ TO = Direction.TO_DEVICE
         (LineFault(FaultKind.RESET, TO, 2), (0.0,), [b"23456789"]),
     ],
 )
-def test_each_fault_has_its_stated_effect(
-    fault: LineFault, times: tuple[float, ...], out: list[bytes]
-) -> None:
+def test_each_fault_has_its_stated_effect(fault, times, out):
     assert through(fault, *times) == out
 
 
@@ -190,21 +188,26 @@ def test_random_faults_are_repeatable_and_of_every_kind() -> None:
     assert {fault.kind for fault in drawn[0]} == set(FaultKind)
 
 
-def test_the_verb_prints_json_and_is_repeatable(capsys: pytest.CaptureFixture[str]) -> None:
+def run_command(*words: str) -> int:
+    parser = argparse.ArgumentParser()
+    drivers.add_arguments(parser)
+    return drivers.run(parser.parse_args(words))
+
+
+def test_the_command_prints_json_and_is_repeatable(capsys: pytest.CaptureFixture[str]) -> None:
     results = []
     for jobs in ("1", "2"):
-        words = ["faults", "--taps", "120", "--seed", "3", "--jobs", jobs, "--json"]
-        assert main(words) == 0
+        assert run_command("--taps", "60", "--seed", "3", "--jobs", jobs, "--json") == 0
         result = json.loads(capsys.readouterr().out)
         result.pop("wall_time")
         results.append(result)
-    assert results[0]["taps"] == 120
+    assert results[0]["taps"] == 60
     for key in ("double_fires", "unsafe_fires", "hangs", "false_reports"):
         assert results[0][key] == 0
     order = [json.dumps(result, sort_keys=True) for result in results]
     assert order[0] == order[1]
 
 
-def test_the_verb_refuses_invalid_options(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["faults", "--taps", "0"]) == 2
+def test_the_command_refuses_invalid_options(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_command("--taps", "0") == 2
     assert "--taps" in capsys.readouterr().err

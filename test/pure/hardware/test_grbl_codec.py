@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from tapping_cell.hardware import grbl
@@ -68,7 +68,6 @@ def test_partly_valid_lines_are_invalid(line: bytes) -> None:
     assert isinstance(frame, Bad)
 
 
-@settings(max_examples=1000)
 @given(st.binary(max_size=700))
 def test_any_bytes_are_tolerated_and_consumed(data: bytes) -> None:
     while True:
@@ -105,9 +104,7 @@ def test_fragments_give_the_same_result_as_the_whole(parts: list[bytes], cuts: l
 
 
 @given(positions, st.floats(0.01, 99999))
-def test_a_move_line_is_short_and_states_every_mode(
-    position: tuple[float, ...], feed: float
-) -> None:
+def test_a_move_line_is_short_and_states_every_mode(position, feed):
     line = grbl.move_line("XYZA", position, feed)
     assert line.startswith(b"G21G90G94G1X") and line.endswith(b"\n")
     assert len(line) <= 80

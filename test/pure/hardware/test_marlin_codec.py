@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from tapping_cell.hardware import marlin
@@ -19,10 +19,7 @@ from tapping_cell.hardware.text_line import LONGEST_LINE, Bad, Decoded
         (b"echo:busy: processing", marlin.Busy()),
         (b"start", marlin.Start()),
         (b"Resend: 2", marlin.Resend(2)),
-        (
-            b"Error:checksum mismatch, Last Line: 1",
-            marlin.LineError("checksum mismatch", 1),
-        ),
+        (b"Error:checksum mismatch, Last Line: 1", marlin.LineError("checksum mismatch", 1)),
         (
             b"Error:Line Number is not Last Line Number+1, Last Line: 1",
             marlin.LineError("Line Number is not Last Line Number+1", 1),
@@ -45,8 +42,7 @@ from tapping_cell.hardware.text_line import LONGEST_LINE, Bad, Decoded
         (
             b"X:1.50 Y:-2.00 Z:0.00 A:90.00 Count X:300 Y:-400 Z:0 A:9000",
             marlin.Position(
-                {"X": 1.5, "Y": -2.0, "Z": 0.0, "A": 90.0},
-                {"X": 300, "Y": -400, "Z": 0, "A": 9000},
+                {"X": 1.5, "Y": -2.0, "Z": 0.0, "A": 90.0}, {"X": 300, "Y": -400, "Z": 0, "A": 9000}
             ),
         ),
         (
@@ -60,10 +56,7 @@ from tapping_cell.hardware.text_line import LONGEST_LINE, Bad, Decoded
             b" PROTOCOL_VERSION:1.0",
             marlin.FirmwareName("Marlin 2.1.2 (Jun  5 2023 12:00:00)"),
         ),
-        (
-            b"Error:Printer halted. kill() called!",
-            marlin.Halted("Printer halted. kill() called!"),
-        ),
+        (b"Error:Printer halted. kill() called!", marlin.Halted("Printer halted. kill() called!")),
     ],
 )
 def test_replies_of_real_boards_are_decoded(line: bytes, frame: marlin.Frame) -> None:
@@ -77,7 +70,6 @@ def test_partly_valid_lines_are_invalid(line: bytes) -> None:
     assert isinstance(marlin.decode(line + b"\n").frame, Bad)
 
 
-@settings(max_examples=1000)
 @given(st.binary(max_size=700))
 def test_any_bytes_are_tolerated_and_consumed(data: bytes) -> None:
     while True:

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from hardware_faults import expect_fault
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
@@ -57,9 +58,7 @@ def test_no_waypoint_sweeps_low(start: Joints, x: float, y: float, yaw: float) -
 
 
 @given(joint_values, st.floats(0.2, 0.7), st.floats(-0.4, 0.4), st.floats(-3.1, 3.1))
-def test_the_elbow_never_flips_where_its_side_reaches(
-    start: Joints, x: float, y: float, yaw: float
-) -> None:
+def test_the_elbow_never_flips_where_its_side_reaches(start, x, y, yaw):
     tip = TipPose(x, y, 0.01, yaw)
     side = GEOMETRY.branch_of(start)
     assume(GEOMETRY.inverse(tip, side, near=start).success)
@@ -107,15 +106,12 @@ def test_no_withdrawal_is_needed_from_the_park_pose() -> None:
 
 
 def test_out_of_reach_is_refused_with_a_message() -> None:
-    with pytest.raises(HardwareFault, match="beyond the reach of 800.0 mm") as caught:
+    with expect_fault(FaultReason.UNREACHABLE, "beyond the reach of 800.0 mm"):
         strike_path(GEOMETRY, SETTINGS.park, TipPose(1.2, 0, 0.01, 0), SETTINGS)
-    assert caught.value.reason is FaultReason.UNREACHABLE
 
 
 @given(joint_values, joint_values, st.floats(0.05, 1.0))
-def test_the_duration_is_that_of_the_slowest_joint(
-    start: Joints, goal: Joints, speed: float
-) -> None:
+def test_the_duration_is_that_of_the_slowest_joint(start, goal, speed):
     """Compare the move with the emulator's trapezoidal speed profile for each joint alone. The move
     must take at least as long as the slowest joint, and at most twice as long."""
     duration = move_duration(GEOMETRY, start, goal, speed)
@@ -132,9 +128,7 @@ def test_the_duration_is_that_of_the_slowest_joint(
 
 
 @given(joint_values, joint_values, st.floats(0.001, 20.0))
-def test_a_move_takes_the_time_that_was_asked_for(
-    start: Joints, goal: Joints, duration: float
-) -> None:
+def test_a_move_takes_the_time_that_was_asked_for(start, goal, duration):
     fastest = move_duration(GEOMETRY, start, goal, 1.0)
     speed = speed_for(GEOMETRY, start, goal, duration)
     took = move_duration(GEOMETRY, start, goal, speed)
@@ -159,9 +153,7 @@ def test_path_duration_adds_the_moves() -> None:
 
 
 @given(joint_values, st.floats(0.2, 0.7), st.floats(-0.4, 0.4), st.floats(-3.1, 3.1))
-def test_durations_of_many_strike_paths_match_each_single_path(
-    start: Joints, x: float, y: float, yaw: float
-) -> None:
+def test_durations_of_many_strike_paths_match_each_single_path(start, x, y, yaw):
     tips = np.array([[x, y, 0.01, yaw], [x, -y, 0.01, -yaw], [2.0, 0.0, 0.01, 0.0]])
     many = strike_durations(GEOMETRY, start, tips, SETTINGS)
     assert math.isinf(many[2])
@@ -182,9 +174,8 @@ def test_durations_of_many_strike_paths_match_each_single_path(
     ],
 )
 def test_limits_are_reported_with_a_message(joints: tuple[float, ...], words: str) -> None:
-    with pytest.raises(HardwareFault, match=words) as caught:
+    with expect_fault(FaultReason.OUT_OF_RANGE, words):
         check_limits(GEOMETRY, joints)
-    assert caught.value.reason is FaultReason.OUT_OF_RANGE
 
 
 def test_settings_are_checked() -> None:

@@ -67,9 +67,7 @@ def test_forward_kinematics_match_the_chain_of_links(data: st.DataObject) -> Non
 
 
 @given(st.data())
-def test_inverse_kinematics_invert_forward_kinematics_on_the_same_branch(
-    data: st.DataObject,
-) -> None:
+def test_inverse_kinematics_invert_forward_kinematics_on_the_same_branch(data):
     geometry = data.draw(geometries())
     joints = data.draw(joints_inside(geometry))
     tip = geometry.forward(joints)
@@ -91,9 +89,7 @@ def test_inverse_kinematics_invert_forward_kinematics_on_the_same_branch(
     angles,
     st.sampled_from(Branch),
 )
-def test_refused_poses_are_out_of_reach_and_accepted_poses_within(
-    data: st.DataObject, x: float, y: float, z: float, yaw: float, branch: Branch
-) -> None:
+def test_refused_poses_are_out_of_reach_and_accepted_poses_within(data, x, y, z, yaw, branch):
     geometry = data.draw(geometries())
     tip = TipPose(x, y, z, yaw)
     solution = geometry.inverse(tip, branch)

@@ -16,9 +16,7 @@ from tapping_cell.simulation.virtual_line import VirtualClock, VirtualTransport
 @pytest.mark.parametrize(
     ("energy", "expected"), [(0.02, FaultReason.NOT_ENABLED), (0.002, FaultReason.REJECTED)]
 )
-def test_a_shot_that_the_switch_discharged_is_not_enabled(
-    energy: float, expected: FaultReason
-) -> None:
+def test_a_shot_that_the_switch_discharged_is_not_enabled(energy, expected):
     clock = VirtualClock()
     clock.limit = float("inf")
     board = TapperEmulator(now=clock.now)

@@ -12,7 +12,7 @@ from tapping_cell.simulation.fault_layer import FaultLayer
 from tapping_cell.simulation.tapper_emulator import TapperEmulator
 from tapping_cell.simulation.virtual_line import VirtualClock, VirtualTransport
 
-SHOTS = 1000
+SHOTS = 250
 
 
 class FreezingTransport(VirtualTransport):

@@ -6,10 +6,11 @@ from __future__ import annotations
 import re
 
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 from wrong_baud import WrongBaud, sampled
 
+from lab.trial import shipped_cell
 from tapping_cell.configuration.arm_assembly import make_arm_driver
 from tapping_cell.hardware.arm import ArmDriver
 from tapping_cell.hardware.faults import FaultReason, HardwareFault
@@ -24,7 +25,6 @@ from tapping_cell.simulation.marlin_emulator import MarlinEmulator, MarlinMachin
 from tapping_cell.simulation.tapper_emulator import TapperEmulator
 from tapping_cell.simulation.truth import ArmTruth
 from tapping_cell.simulation.virtual_line import VirtualClock, VirtualTransport
-from tapping_cell.verification.trial import shipped_cell
 
 DIALECTS = ("grbl", "marlin")
 OTHER_RATES = (9600, 57600, 230400, 250000)
@@ -57,7 +57,6 @@ def arm_on(line: Line, dialect: str, number: int = 10**7) -> ArmDriver:
 
 
 @given(st.binary(max_size=60), st.sampled_from((9600.0, 115200.0, 250000.0)))
-@settings(max_examples=50, deadline=None)
 def test_equal_baud_rates_change_no_byte(data: bytes, rate: float) -> None:
     assert sampled(data, rate, rate) == data
 
@@ -85,11 +84,8 @@ def test_a_tapper_at_another_baud_rate_never_looks_like_a_tapper(rate: int) -> N
 
 
 @given(st.sampled_from(DIALECTS), st.integers(1, 8), st.integers(0, 2))
-@settings(max_examples=100, deadline=None)
 @example("marlin", 6, 0)  # the damage to the line ends leaves only two lines
-def test_interference_on_the_line_of_a_connected_arm_is_reported(
-    dialect: str, digits: int, phase: int
-) -> None:
+def test_interference_on_the_line_of_a_connected_arm_is_reported(dialect, digits, phase):
     line = Line(board_of(dialect))
     driver = arm_on(line, dialect, 10**digits - 10**digits // 3)
     driver.connect()

@@ -39,9 +39,7 @@ JOINTS = st.tuples(
 
 
 @given(JOINTS, st.tuples(*[st.floats(-0.02, 0.02)] * 4))
-def test_the_frames_of_the_links_end_at_the_tip(
-    values: tuple[float, ...], offset: tuple[float, float, float, float]
-) -> None:
+def test_the_frames_of_the_links_end_at_the_tip(values, offset):
     geometry = ScaraGeometry(tip_side=0.013, tip_yaw=0.4, joint_offset=offset)
     pose, parent = np.eye(4), LINKS[0]
     for frame in link_frames(geometry, Joints(*values)):

@@ -11,7 +11,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from test_permit import CELL, TAP, Pair, at, jobs, messages
 
@@ -280,9 +280,7 @@ def test_a_program_error_does_not_end_the_job_that_sends_a_stop() -> None:
     assert any(isinstance(effect, StopWire) for effect in made)
 
 
-def test_a_stop_that_a_program_error_interrupts_is_completed(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_stop_that_a_program_error_interrupts_is_completed(monkeypatch):
     arm = in_position().arm
     with monkeypatch.context() as broken:
         broken.setattr(arm, "_overtake", raise_error)
@@ -453,9 +451,7 @@ def test_after_a_report_of_a_charged_striker_no_other_report_lets_the_arm_leave_
 
 
 @given(st.floats(0.0, arms.DISCHARGED_S - 0.01))
-def test_an_arm_that_was_deactivated_homes_only_when_the_striker_is_discharged(
-    wait: float,
-) -> None:
+def test_an_arm_that_was_deactivated_homes_only_when_the_striker_is_discharged(wait):
     pair = in_position()
     report(pair, TapperState.CHARGED, START + 1.0)
     pair.arm.on_lifecycle(Deactivated(), at(START + 1.0))
@@ -467,9 +463,7 @@ def test_an_arm_that_was_deactivated_homes_only_when_the_striker_is_discharged(
 
 
 @pytest.mark.parametrize("name", ["withdraw", "home", "follow", "place"])
-def test_an_arm_whose_motion_was_abandoned_does_not_report_that_it_is_out_of_view(
-    name: str,
-) -> None:
+def test_an_arm_whose_motion_was_abandoned_does_not_report_that_it_is_out_of_view(name):
     """The arm is activated again before the abandoned job has ended."""
     pair, job = moving(name)
     arm = pair.arm
@@ -564,9 +558,7 @@ def test_the_reason_for_a_failed_attempt_to_connect_remains(kind: type) -> None:
 
 
 @pytest.mark.parametrize("broken", ["_answer", "_urgent_content"])
-def test_a_stop_is_sent_again_if_a_program_error_interrupts_its_handler(
-    broken: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_stop_is_sent_again_if_a_program_error_interrupts_its_handler(broken, monkeypatch):
     """The port may be away, so that only the job can send the stop later."""
     arm = in_position().arm
     with monkeypatch.context() as defect:
@@ -652,11 +644,8 @@ def began(name: str, reports: Sequence[float]) -> float:
 
 
 @pytest.mark.parametrize("name", ["withdraw", "follow", "home"])
-@settings(max_examples=30)
 @given(st.lists(st.floats(0.0, arms.DISCHARGED_S - 0.01), max_size=3))
-def test_each_report_of_a_charged_striker_during_the_wait_delays_the_motion(
-    name: str, gaps: list[float]
-) -> None:
+def test_each_report_of_a_charged_striker_during_the_wait_delays_the_motion(name, gaps):
     reports = list(accumulate(gaps, initial=START + 0.9))
     assert began(name, reports) == pytest.approx(reports[-1] + arms.DISCHARGED_S, abs=0.011)
 
@@ -712,9 +701,7 @@ def test_a_restarted_arm_keeps_the_promise_made_with_another_cell_file() -> None
 
 
 @pytest.mark.parametrize("restarts", [1, 2])
-def test_a_stop_received_before_the_port_opens_does_not_replace_the_stored_one(
-    restarts: int,
-) -> None:
+def test_a_stop_received_before_the_port_opens_does_not_replace_the_stored_one(restarts):
     """One publisher has asserted the stop and vanished; another one asserts and releases its stop
     while the restarted node waits for its port."""
     stored: Content | None = {"sources": ["emergency_stop"], "asserted": True}

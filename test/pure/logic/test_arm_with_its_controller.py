@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from virtual_node import VirtualNode
 
+from lab.virtual_cell.serial_line import SerialLine
 from tapping_cell.configuration.arm_assembly import make_arm_driver
 from tapping_cell.configuration.cell import load_cell
 from tapping_cell.hardware.arm import ArmDriver
@@ -39,7 +40,6 @@ from tapping_cell.se2 import Pose
 from tapping_cell.simulation.devices import arm_emulator
 from tapping_cell.simulation.grbl_emulator import GrblEmulator
 from tapping_cell.simulation.truth import ArmTruth
-from tapping_cell.verification.serial_line import SerialLine
 
 STRIKE = Pose(-0.08, 0.02, 0.3)
 JOINT_NAMES = ["shoulder", "elbow", "quill", "tool"]
@@ -79,6 +79,28 @@ class Cell(VirtualNode):
         message.expiry = self.stamp(valid_for)
         self.publish("tap_command", message)
 
+    def place(self, tap_id: int) -> None:
+        """Command a tap and wait until the arm is in position for it."""
+        self.command(tap_id)
+        self.wait_state(ArmState.IN_POSITION)
+
+    def retreat(self, tap_id: int) -> None:
+        """Withdraw a tap and wait until the arm is idle."""
+        self.withdraw(tap_id)
+        self.wait_state(ArmState.IDLE)
+
+    def clear_fault(self) -> None:
+        assert self.call("~/clear_fault").success
+        self.wait_state(ArmState.NOT_HOMED)
+
+    def release_stop(self) -> None:
+        self.publish("emergency_stop", Bool(data=False))
+        self.run(0.1)
+
+    def home(self) -> None:
+        self.ask("~/home")
+        self.wait_state(ArmState.IDLE)
+
     def moving(self) -> bool:
         """Return whether the emulated arm moves now."""
         return self.device.moving(self.now())
@@ -112,8 +134,7 @@ def test_the_arm_homes_automatically_and_reports_joints_only_afterwards(cell: Ce
 
 @pytest.mark.parametrize("cell", ["grbl", "marlin"], indirect=True)
 def test_a_tap_command_brings_the_tip_to_the_strike_pose_and_back(cell: Cell) -> None:
-    cell.command(100)
-    cell.wait_state(ArmState.IN_POSITION)
+    cell.place(100)
     assert cell.last.tap_id == 100 and not cell.last.clear_of_camera
     tip = from_message(cell.last.tip_pose)
     assert tip.distance_to(STRIKE) < 0.0005 and abs(tip.rotation_to(STRIKE)) < 0.002
@@ -126,8 +147,7 @@ def test_a_tap_command_brings_the_tip_to_the_strike_pose_and_back(cell: Cell) ->
     assert (configuration.arm_base @ Pose(true.x, true.y, true.yaw)).distance_to(STRIKE) < 0.0005
     first = cell.last.header.stamp
     cell.wait(lambda: cell.last.header.stamp != first, "read back again and again")
-    cell.withdraw(100)
-    cell.wait_state(ArmState.IDLE)
+    cell.retreat(100)
     assert cell.last.clear_of_camera and cell.last.tap_id == 0
 
 
@@ -160,23 +180,18 @@ def test_an_invalid_command_moves_nothing(cell: Cell, strike: Pose, frame: str) 
     assert cell.last.state == ArmState.IDLE
 
 
-def test_an_unreachable_pose_ends_the_tap_with_a_message_and_the_next_tap_is_served(
-    cell: Cell,
-) -> None:
+def test_an_unreachable_pose_ends_the_tap_with_a_message_and_the_next_tap_is_served(cell):
     cell.command(100, Pose(0.0, -3.0, 0.0))
     cell.wait(lambda: cell.last.error_code == ErrorCode.ARM_OUT_OF_REACH, "the refusal")
     assert "reach" in cell.last.error_msg
     cell.wait_state(ArmState.IDLE)
     assert cell.last.error_code == ErrorCode.ARM_OUT_OF_REACH
-    cell.command(101)
-    cell.wait_state(ArmState.IN_POSITION)
+    cell.place(101)
 
 
 def test_a_tap_id_is_served_once(cell: Cell) -> None:
-    cell.command(100)
-    cell.wait_state(ArmState.IN_POSITION)
-    cell.withdraw(100)
-    cell.wait_state(ArmState.IDLE)
+    cell.place(100)
+    cell.retreat(100)
     cell.command(100)
     cell.command(99)
     assert not cell.moves(0.5)
@@ -197,15 +212,11 @@ def test_an_emergency_stop_during_a_move_stops_the_arm_and_requires_homing(cell:
         not refused.success and "still held; publishers of emergency_stop: probe" in refused.message
     )
     assert cell.last.state == ArmState.STOPPED
-    cell.publish("emergency_stop", Bool(data=False))
-    cell.run(0.1)
-    assert cell.call("~/clear_fault").success
-    cell.wait_state(ArmState.NOT_HOMED)
+    cell.release_stop()
+    cell.clear_fault()
     assert not cell.moves(0.3)
-    cell.ask("~/home")
-    cell.wait_state(ArmState.IDLE)
-    cell.command(102)
-    cell.wait_state(ArmState.IN_POSITION)
+    cell.home()
+    cell.place(102)
 
 
 def test_a_withdrawal_without_a_tap_moves_nothing(cell: Cell) -> None:
@@ -215,8 +226,7 @@ def test_a_withdrawal_without_a_tap_moves_nothing(cell: Cell) -> None:
     assert not cell.moves(0.5)
     cell.publish("joint_trajectory", a_trajectory(np.array([0.3, 1.0, -0.01, 0.5]), 2.0))
     cell.wait_state(ArmState.MOVING)
-    cell.withdraw(0)
-    cell.wait_state(ArmState.IDLE)
+    cell.retreat(0)
     cell.wait(
         lambda: np.allclose(cell.joints[-1].position, [0.3, 1.0, -0.01, 0.5], atol=2e-3),
         "the trajectory was not cut off",
@@ -228,10 +238,8 @@ def test_only_the_withdrawal_of_the_last_tap_parks_an_idle_arm(cell: Cell) -> No
     of any other tap has no effect."""
     camera = Point(x=0.0, y=0.0, z=0.7)
     cell.publish("camera/pose", PoseStamped(pose=PoseMessage(position=camera)))
-    cell.command(100)
-    cell.wait_state(ArmState.IN_POSITION)
-    cell.withdraw(100)
-    cell.wait_state(ArmState.IDLE)
+    cell.place(100)
+    cell.retreat(100)
     for tap_id in (0, 99, 101):
         cell.withdraw(tap_id)
     assert not cell.moves(0.5)
@@ -286,13 +294,9 @@ MOTIONS: dict[str, Callable[[Cell], object]] = {
 
 
 @pytest.mark.parametrize("motion", MOTIONS)
-def test_a_motion_that_waits_for_the_striker_does_not_begin_after_the_deactivation(
-    cell: Cell, motion: str
-) -> None:
-    cell.command(100)
-    cell.wait_state(ArmState.IN_POSITION)
-    cell.withdraw(100)
-    cell.wait_state(ArmState.IDLE)
+def test_a_motion_that_waits_for_the_striker_does_not_begin_after_the_deactivation(cell, motion):
+    cell.place(100)
+    cell.retreat(100)
     cell.publish("tapper_state", TapperState(tap_id=100, state=TapperState.CHARGED))
     cell.run(0.1)
     MOTIONS[motion](cell)
@@ -312,8 +316,7 @@ def hold(cell: Cell, tap_id: int, duration: float = 0.25) -> Any:
 def test_the_arm_stands_still_for_as_long_as_it_promised(cell: Cell) -> None:
     """A withdrawal from any node is delayed until the promise has ended."""
     assert not hold(cell, 100).granted
-    cell.command(100)
-    cell.wait_state(ArmState.IN_POSITION)
+    cell.place(100)
     assert not hold(cell, 99).granted
     longest = longest_hold(load_cell())
     assert not hold(cell, 100, duration=1.01 * longest).granted
@@ -327,8 +330,7 @@ def test_the_arm_stands_still_for_as_long_as_it_promised(cell: Cell) -> None:
 
 
 def test_a_tap_outcome_ends_the_promise_to_stand_still(cell: Cell) -> None:
-    cell.command(100)
-    cell.wait_state(ArmState.IN_POSITION)
+    cell.place(100)
     assert hold(cell, 100).granted
     cell.publish("tapper_state", TapperState(tap_id=100, outcome=TapperState.FIRED))
     cell.wait(lambda: not hold(cell, 100).granted, "the tap is over")
@@ -338,8 +340,7 @@ def test_withdrawing_during_a_move_never_reports_in_position(cell: Cell) -> None
     cell.command(100)
     cell.wait(cell.moving, "the arm moves")
     received = len(cell.states)
-    cell.withdraw(100)
-    cell.wait_state(ArmState.IDLE)
+    cell.retreat(100)
     assert all(state.state != ArmState.IN_POSITION for state in cell.states[received:])
 
 
@@ -396,8 +397,7 @@ def test_an_invalid_trajectory_is_refused_with_a_message_and_moves_nothing(cell:
         assert cell.last.error_code == ErrorCode.TRAJECTORY_INVALID
     assert not cell.moves(0.3)
     assert cell.last.state == ArmState.IDLE
-    cell.command(100)
-    cell.wait_state(ArmState.IN_POSITION)
+    cell.place(100)
     assert cell.last.error_code == 0
 
 
@@ -415,8 +415,7 @@ def test_foreign_clients_on_the_bus_do_not_disturb_a_tap(cell: Cell) -> None:
     assert not cell.moves(0.5)
     assert cell.last.tap_id == 100 and cell.last.error_code == 0
     assert from_message(cell.last.tip_pose).distance_to(STRIKE) < 0.0005
-    cell.withdraw(100)
-    cell.wait_state(ArmState.IDLE)
+    cell.retreat(100)
     cell.command(101)
     cell.wait_state(ArmState.MOVING)
 
@@ -432,8 +431,7 @@ def test_a_deactivated_arm_stops_and_reports_what_it_needs(cell: Cell) -> None:
     assert not cell.moves(0.3)
     cell.process.lifecycle(Activated())
     cell.wait_state(ArmState.IDLE)
-    cell.command(102)
-    cell.wait_state(ArmState.IN_POSITION)
+    cell.place(102)
 
 
 def test_a_stop_survives_a_node_restart_and_prevents_homing(cell: Cell) -> None:
@@ -445,8 +443,7 @@ def test_a_stop_survives_a_node_restart_and_prevents_homing(cell: Cell) -> None:
     cell.process.start()
     assert not cell.moves(3.0)
     assert cell.last.state == ArmState.STOPPED
-    assert cell.call("~/clear_fault").success
-    cell.wait_state(ArmState.NOT_HOMED)
+    cell.clear_fault()
     assert not cell.moves(0.5)
 
 
@@ -473,10 +470,8 @@ def test_a_stop_while_the_port_is_away_is_sent_as_soon_as_the_port_is_back(cell:
     cell.run(0.6)
     assert not cell.moves(0.5)
     assert cell.last.state == ArmState.STOPPED and not cell.last.homed
-    assert cell.call("~/clear_fault").success
-    cell.wait_state(ArmState.NOT_HOMED)
-    cell.ask("~/home")
-    cell.wait_state(ArmState.IDLE)
+    cell.clear_fault()
+    cell.home()
 
 
 def stop_and_leave(cell: Cell) -> None:
@@ -494,8 +489,7 @@ def test_a_stop_source_lost_while_active_requires_a_confirmation(cell: Cell) -> 
     first = cell.call("~/clear_fault")
     assert not first.success and "disappeared without releasing it" in first.message
     assert cell.last.state == ArmState.STOPPED
-    assert cell.call("~/clear_fault").success
-    cell.wait_state(ArmState.NOT_HOMED)
+    cell.clear_fault()
 
 
 def test_a_vanished_stop_source_is_remembered_until_the_reset(cell: Cell) -> None:
@@ -510,9 +504,7 @@ def test_a_vanished_stop_source_is_remembered_until_the_reset(cell: Cell) -> Non
     assert cell.last.state == ArmState.STOPPED
 
 
-def test_a_second_request_to_clear_before_the_first_is_answered_is_no_confirmation(
-    cell: Cell,
-) -> None:
+def test_a_second_request_to_clear_before_the_first_is_answered_is_no_confirmation(cell):
     stop_and_leave(cell)
     cell.run(0.5)
     cell.ask("~/clear_fault")
@@ -520,8 +512,7 @@ def test_a_second_request_to_clear_before_the_first_is_answered_is_no_confirmati
     second = cell.call("~/clear_fault")
     assert not second.success and "disappeared without releasing it" in second.message
     assert cell.last.state == ArmState.STOPPED
-    assert cell.call("~/clear_fault").success
-    cell.wait_state(ArmState.NOT_HOMED)
+    cell.clear_fault()
 
 
 def test_a_restart_does_not_replace_the_confirmation_of_a_vanished_stop_source(cell: Cell) -> None:
@@ -536,8 +527,7 @@ def test_a_restart_does_not_replace_the_confirmation_of_a_vanished_stop_source(c
     first = cell.call("~/clear_fault")
     assert not first.success and "restarted" in first.message
     assert cell.last.state == ArmState.STOPPED
-    assert cell.call("~/clear_fault").success
-    cell.wait_state(ArmState.NOT_HOMED)
+    cell.clear_fault()
 
 
 def test_a_stop_published_before_the_node_started_prevents_homing() -> None:
@@ -547,10 +537,8 @@ def test_a_stop_published_before_the_node_started_prevents_homing() -> None:
     cell.process.start()
     assert not cell.moves(3.0)
     cell.wait_state(ArmState.STOPPED)
-    cell.publish("emergency_stop", Bool(data=False))
-    cell.run(0.1)
-    assert cell.call("~/clear_fault").success
-    cell.wait_state(ArmState.NOT_HOMED)
+    cell.release_stop()
+    cell.clear_fault()
     assert not cell.moves(0.3)
 
 
@@ -561,7 +549,6 @@ def test_a_controller_asleep_when_the_node_starts_can_be_cleared() -> None:
     cell.process.start()
     cell.wait(lambda: cell.states and cell.last.error_code == ErrorCode.ARM_ALARM, "the refusal")
     assert "asleep" in cell.last.error_msg and "then clear" in cell.last.error_msg
-    assert cell.call("~/clear_fault").success
-    cell.wait_state(ArmState.NOT_HOMED)
+    cell.clear_fault()
     assert cell.call("~/home").success
     cell.wait_state(ArmState.IDLE)

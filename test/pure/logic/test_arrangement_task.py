@@ -10,10 +10,12 @@ from functools import cache
 from typing import Any
 
 import pytest
+from logic_parts import goal_handling
 from test_objects_without_a_file import square_at
 from test_planner_with_played_devices import COVARIANCE, FAST, shipped
 from virtual_node import VirtualNode
 
+from lab.virtual_cell import host
 from tapping_cell.configuration.objects import ObjectFile
 from tapping_cell.logic.arrangement import (
     FOLLOWS,
@@ -25,7 +27,6 @@ from tapping_cell.logic.arrangement import (
 )
 from tapping_cell.logic.clock import Now
 from tapping_cell.logic.goal_handling import GoalHandling
-from tapping_cell.logic.other_objects import OtherObjects
 from tapping_cell.logic.planner import PlannerLogic, State
 from tapping_cell.logic.planner_settings import PlannerSettings
 from tapping_cell.logic.poses import from_message, to_message
@@ -51,7 +52,6 @@ from tapping_cell.messages import (
 from tapping_cell.messages import Pose as PoseMessage
 from tapping_cell.planning.arrangement import ArrangementSession
 from tapping_cell.se2 import Pose
-from tapping_cell.verification import host
 
 PATIENT = replace(FAST, observe_deadline=8.0)
 """Settings with which the planner waits longer than an object is remembered."""
@@ -68,18 +68,7 @@ def files() -> tuple[ObjectFile, ...]:
 @cache
 def handling() -> GoalHandling:
     cell, maps = shipped()
-    return GoalHandling(
-        cell,
-        "",
-        OtherObjects(files(), 5.0, 0.002),
-        Now(0.0, 0),
-        adapt=True,
-        probe=False,
-        keep_for="",
-        time_limit=600.0,
-        maps=maps,
-        solve_in_background=False,
-    )
+    return goal_handling(cell, "", files(), maps=maps, solve_in_background=False)
 
 
 class Table(VirtualNode):
@@ -364,9 +353,7 @@ def test_an_object_turned_away_from_its_goal_is_not_reported_at_its_goal(cell: T
     assert {progress.state for progress in result.objects} == {ObjectProgress.FAILED}
 
 
-def test_an_object_turned_away_is_noticed_even_if_no_decision_follows(
-    cell: Table, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_object_turned_away_is_noticed_even_if_no_decision_follows(cell, monkeypatch):
     """A person turns an object away from its goal, and the next decision fails."""
     one, other = cell.names[:2]
 
@@ -432,9 +419,7 @@ def test_a_problem_of_the_image_is_named(cell: Table, code: int) -> None:
     assert (result.error_code, result.error_msg) == (code, "the image is dark")
 
 
-def test_no_tap_is_commanded_if_an_object_was_moved_during_the_decision(
-    cell: Table, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_tap_is_commanded_if_an_object_was_moved_during_the_decision(cell, monkeypatch):
     monkeypatch.setattr(host, "COMPUTING_S", (0.5, 0.5))
     one, other = cell.names[:2]
     cell.send({one: moved(cell.poses[one], 0.02, 0.0)})
@@ -460,9 +445,7 @@ def test_the_result_of_a_failed_goal_has_the_pose_of_its_own_object(cell: Table)
     assert result.residual_distance == pytest.approx(0.02)
 
 
-def test_an_object_that_leaves_its_goal_during_the_decision_is_tapped(
-    cell: Table, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_object_that_leaves_its_goal_during_the_decision_is_tapped(cell, monkeypatch):
     """The object is moved by less than the distance beyond which an object counts as moved."""
     monkeypatch.setattr(host, "COMPUTING_S", (0.5, 0.5))
     one = cell.names[0]
@@ -474,9 +457,7 @@ def test_an_object_that_leaves_its_goal_during_the_decision_is_tapped(
     assert cell.poses[one].distance_to(goal) < 0.001 and cell.taps
 
 
-def test_no_tap_is_commanded_if_an_unknown_object_appears_during_the_decision(
-    cell: Table, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_tap_is_commanded_if_an_unknown_object_appears_during_the_decision(cell, monkeypatch):
     monkeypatch.setattr(host, "COMPUTING_S", (0.5, 0.5))
     one = cell.names[0]
     cell.send({one: moved(cell.poses[one], 0.02, 0.0)})
@@ -686,9 +667,7 @@ def test_a_cancelled_arrangement_ends_its_tap(cell: Table) -> None:
     assert cell.states[-1].state == PlanState.CANCELED and cell.arm_state == ArmState.IDLE
 
 
-def test_a_failed_computation_ends_the_arrangement_with_an_error_code(
-    cell: Table, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_failed_computation_ends_the_arrangement_with_an_error_code(cell, monkeypatch):
     def broken(*_: Any, **__: Any) -> None:
         raise ArithmeticError("no number")
 

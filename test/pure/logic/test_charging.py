@@ -83,9 +83,7 @@ def test_a_tapper_charged_early_asks_when_the_arm_is_in_position() -> None:
 
 
 @pytest.mark.parametrize("off", [Pose(0.0, 0.006, 0.0), Pose(0.0, 0.0, 0.06)])
-def test_no_shot_is_fired_if_the_arm_is_in_position_for_another_tap_with_the_same_id(
-    off: Pose,
-) -> None:
+def test_no_shot_is_fired_if_the_arm_is_in_position_for_another_tap_with_the_same_id(off):
     tapper, _ = charged_while_lowered()
     stands = arm(ArmState.IN_POSITION, STRIKE @ off, START + 0.5)
     made = tapper.on_message("arm_state", stands, at(START + 0.5))

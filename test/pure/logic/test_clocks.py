@@ -90,9 +90,7 @@ def test_clock_offsets_within_the_budget_block_nothing(ahead: float, delays: lis
 
 
 @given(st.floats(0.65, 3600.0), st.sampled_from([-1.0, 1.0]), DELAYS)
-def test_clock_offsets_beyond_the_budget_are_refused_with_the_values(
-    ahead: float, sign: float, delays: list[float]
-) -> None:
+def test_clock_offsets_beyond_the_budget_are_refused_with_the_values(ahead, sign, delays):
     monitor, now = monitor_with(sign * ahead, delays)
     missing = monitor.missing(at(now))
     assert missing is not None and missing[0] == ErrorCode.CLOCKS_DIFFER
@@ -102,9 +100,7 @@ def test_clock_offsets_beyond_the_budget_are_refused_with_the_values(
 
 
 @given(st.floats(0.65, 3600.0), st.sampled_from([-1.0, 1.0]), st.sampled_from(["arm", "tapper"]))
-def test_the_planner_names_the_driver_whose_clock_is_off(
-    ahead: float, sign: float, who: str
-) -> None:
+def test_the_planner_names_the_driver_whose_clock_is_off(ahead, sign, who):
     monitor, now = monitor_with(0.0, [0.0] * 30)
     state: ArmState | TapperState = ArmState(state=ArmState.IDLE, clear_of_camera=True)
     receive: Callable[..., None] = monitor.on_arm
@@ -144,9 +140,7 @@ def test_observations_before_the_withdrawal_do_not_count_as_later_ones(
 
 
 @given(st.floats(1.0, 3600.0))
-def test_images_that_seem_old_after_a_clock_step_are_reported_as_differing_clocks(
-    step: float,
-) -> None:
+def test_images_that_seem_old_after_a_clock_step_are_reported_as_differing_clocks(step):
     """The clock of the only computer is set back."""
     monitor, received = monitor_with(0.0, [0.01] * 30)
     now = Now(received + 0.1, at(received + 0.1 - step).ros)
@@ -170,9 +164,7 @@ def test_an_image_from_the_future_does_not_hide_that_its_object_vanished(ahead: 
     st.floats(-0.4, 0.4),
     st.lists(st.floats(0.0, 0.05), min_size=20, max_size=40),
 )
-def test_a_tapper_fires_whichever_clock_is_ahead(
-    arm_ahead: float, camera_ahead: float, delays: list[float]
-) -> None:
+def test_a_tapper_fires_whichever_clock_is_ahead(arm_ahead, camera_ahead, delays):
     peers = TapperPeers(PeerLimits())
     peers.begin_tap("", 0.0)
     received = 0.0

@@ -55,9 +55,7 @@ def working(steady: float = START) -> Pair:
 
 
 @given(st.lists(st.tuples(st.booleans(), st.booleans(), st.floats(0, 1)), max_size=30))
-def test_a_device_counts_as_held_only_within_the_heartbeat_timeout(
-    received: list[tuple[bool, bool, float]],
-) -> None:
+def test_a_device_counts_as_held_only_within_the_heartbeat_timeout(received):
     device, now = EnablingDevice(), START
     last = {True: -1.0, False: -1.0}
     for is_key, held, pause in received:
@@ -71,9 +69,7 @@ def test_a_device_counts_as_held_only_within_the_heartbeat_timeout(
 
 @pytest.mark.parametrize("set_up", [True, False])
 @pytest.mark.parametrize("held", [True, False])
-def test_a_restarted_node_ends_a_move_of_the_last_process_unless_a_device_is_held(
-    set_up: bool, held: bool
-) -> None:
+def test_a_restarted_node_ends_a_move_of_the_last_process_unless_a_device_is_held(set_up, held):
     """While the arm moves, the node cannot connect. Its next attempt begins with a stop."""
     arm = arms.ArmLogic(arms.ArmOptions(set_up=set_up))
     stops: list[bool] = []

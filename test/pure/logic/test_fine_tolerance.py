@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import cache
 
 import pytest
+from logic_parts import goal_handling
 
 from tapping_cell.configuration.cell import load_cell
 from tapping_cell.logic.clock import Now
 from tapping_cell.logic.goal_handling import GoalHandling, Request
 from tapping_cell.logic.goal_validation import Refused
-from tapping_cell.logic.other_objects import OtherObjects
 from tapping_cell.logic.task import Task
 from tapping_cell.messages import (
     ArrangeObjects,
@@ -27,21 +28,24 @@ from tapping_cell.messages import (
 NOW = Now(100.0, 1_800_000_000_000_000_000)
 
 
+@cache
+def goals_with(smallest_tap: float) -> GoalHandling:
+    cell = load_cell()
+    return goal_handling(
+        replace(cell, object=replace(cell.object, smallest_tap=smallest_tap)), now=NOW
+    )
+
+
 def answer(
     smallest_tap: float, tolerance_mm: float, *, arranged: bool = False, x: float = 0.01
 ) -> Task | Refused:
-    cell = load_cell()
-    cell = replace(cell, object=replace(cell.object, smallest_tap=smallest_tap))
-    others = OtherObjects((), 5.0, 0.002)
-    goals = GoalHandling(
-        cell, "exact", others, NOW, adapt=True, probe=False, keep_for="", time_limit=600.0
-    )
+    goals = goals_with(smallest_tap)
     pose = Pose(position=Point(x=x, y=0.0, z=0.0), orientation=Quaternion(w=1.0))
     message = PoseStamped(header=Header(frame_id="table"), pose=pose)
     size = 1e-3 * tolerance_mm, math.radians(tolerance_mm)
     if arranged:
         goal = ObjectGoal(
-            object_id=cell.object.name,
+            object_id=goals.cell.object.name,
             goal_pose=message,
             position_tolerance=size[0],
             angle_tolerance=size[1],

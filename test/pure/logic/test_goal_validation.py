@@ -36,9 +36,7 @@ def goal_message(pose: Pose = SOMEWHERE) -> PoseStamped:
     theta=st.floats(-3.1, 3.1),
     flip=st.sampled_from([1, -1]),
 )
-def test_a_planar_goal_in_the_table_frame_is_read_unchanged(
-    x: float, y: float, theta: float, flip: int
-) -> None:
+def test_a_planar_goal_in_the_table_frame_is_read_unchanged(x, y, theta, flip):
     message = goal_message(Pose(x, y, theta))
     # A quaternion and its negative describe the same rotation.
     q = message.pose.orientation
@@ -73,9 +71,7 @@ def spoiled(**changes: float | str) -> PoseStamped:
         (spoiled(header__stamp__sec=1100), ErrorCode.GOAL_STALE, "100.0 s in the future"),
     ],
 )
-def test_an_invalid_goal_is_refused_with_its_code_and_value(
-    message: PoseStamped, code: int, word: str
-) -> None:
+def test_an_invalid_goal_is_refused_with_its_code_and_value(message, code, word):
     refused = read_goal(message, NOW, TableOnly())
     assert isinstance(refused, Refused)
     assert refused.code == code
@@ -135,9 +131,7 @@ quaternions = (
     turn=quaternions,
     wanted=st.tuples(st.floats(-1, 1), st.floats(-1, 1), st.floats(-3.1, 3.1)),
 )
-def test_a_goal_in_another_frame_gives_the_same_table_pose(
-    place: Numbers, turn: Numbers, wanted: tuple[float, float, float]
-) -> None:
+def test_a_goal_in_another_frame_gives_the_same_table_pose(place, turn, wanted):
     # Express the goal in another frame, which may have any pose, such as the frame of a camera.
     rotation, planar = matrix(turn), matrix(tuple(vars_of(to_message(Pose(*wanted)))))
     local = rotation.T @ (np.array([wanted[0], wanted[1], 0.0]) - place)
@@ -190,13 +184,8 @@ class NoLookup:
 
 
 @pytest.mark.parametrize("frame", ["table", "fixture"])
-@given(
-    sec=st.integers(-(2**31), -1),
-    nanosec=st.integers(0, 10**9 - 1),
-)
-def test_a_negative_stamp_is_refused_before_the_frame_is_looked_up(
-    frame: str, sec: int, nanosec: int
-) -> None:
+@given(sec=st.integers(-(2**31), -1), nanosec=st.integers(0, 10**9 - 1))
+def test_a_negative_stamp_is_refused_before_the_frame_is_looked_up(frame, sec, nanosec):
     message = spoiled(header__frame_id=frame)
     message.header.stamp = Time(sec=sec, nanosec=nanosec)
     refused = read_goal(message, NOW, NoLookup())
@@ -213,9 +202,7 @@ def test_an_unknown_frame_is_refused_with_the_list_of_known_frames() -> None:
 
 
 @given(position=st.floats(), angle=st.floats())
-def test_tolerances_are_the_defaults_of_the_cell_or_valid_values(
-    position: float, angle: float
-) -> None:
+def test_tolerances_are_the_defaults_of_the_cell_or_valid_values(position, angle):
     found = read_tolerance(position, angle, (0.001, 0.017))
     if isinstance(found, Refused):
         assert found.code == ErrorCode.GOAL_BAD_TOLERANCE
@@ -233,9 +220,7 @@ def test_tolerances_are_the_defaults_of_the_cell_or_valid_values(
         (1e-5, 0.0, ("position tolerance is 1e-05 m", "5e-05 m")),
     ],
 )
-def test_a_tolerance_out_of_range_is_refused_with_its_limits(
-    position: float, angle: float, words: Sequence[str]
-) -> None:
+def test_a_tolerance_out_of_range_is_refused_with_its_limits(position, angle, words):
     refused = read_tolerance(position, angle, (0.001, 0.017))
     assert isinstance(refused, Refused) and refused.code == ErrorCode.GOAL_BAD_TOLERANCE
     assert all(word in refused.sentence for word in words)

@@ -7,13 +7,12 @@ import math
 
 import numpy as np
 import pytest
+from logic_parts import goal_handling
 
-from tapping_cell.configuration.cell import load_cell
 from tapping_cell.logic.clock import Now
 from tapping_cell.logic.goal_handling import GoalHandling, Request
 from tapping_cell.logic.host import Activated, Configured
 from tapping_cell.logic.learnt import to_message
-from tapping_cell.logic.other_objects import OtherObjects
 from tapping_cell.logic.planner import PlannerLogic
 from tapping_cell.logic.planner_settings import PlannerSettings
 from tapping_cell.logic.poses import to_message as pose_message
@@ -28,16 +27,7 @@ COVARIANCE = [1e-10 if index in (0, 7, 35) else 0.0 for index in range(36)]
 
 @pytest.fixture(scope="module")
 def goals() -> GoalHandling:
-    return GoalHandling(
-        load_cell(),
-        "exact",
-        OtherObjects((), 5.0, 0.002),
-        NOW,
-        adapt=True,
-        probe=False,
-        keep_for="",
-        time_limit=600.0,
-    )
+    return goal_handling(now=NOW)
 
 
 def accepted(goals: GoalHandling, *, probe: bool = False) -> Task:

@@ -12,12 +12,13 @@ from dataclasses import dataclass, field, replace
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from logic_parts import board_reply as board
 
 from tapping_cell.configuration.cell import load_cell
 from tapping_cell.hardware.faults import FaultReason, HardwareFault
 from tapping_cell.hardware.scara import Joints
 from tapping_cell.hardware.tapper import CLOCK_TOLERANCE, FireOutcome
-from tapping_cell.hardware.tapper_protocol import LONGEST_PULSE, Mode, Reply, Result
+from tapping_cell.hardware.tapper_protocol import LONGEST_PULSE
 from tapping_cell.hardware.tapper_protocol import State as BoardState
 from tapping_cell.logic import arm as arms
 from tapping_cell.logic import permit
@@ -54,25 +55,6 @@ CURVE = CELL.file.tapper.curve()
 
 def at(steady: float) -> Now:
     return Now(steady, round(1e9 * (1e9 + steady)))
-
-
-def board(state: BoardState, shot: int = 0) -> Reply:
-    return Reply(
-        session=1,
-        sequence=1,
-        result=Result.OK,
-        state=state,
-        shot=shot,
-        energy=0.0,
-        interlock_closed=True,
-        stop_latched=False,
-        last_fired=0,
-        speed=None,
-        boot=1,
-        time_ms=0,
-        mode=Mode.RUN,
-        enabled=False,
-    )
 
 
 @dataclass
@@ -144,7 +126,7 @@ delay = st.floats(0.0, 0.4)
 short = st.one_of(st.just(0.0), st.floats(0.0, 0.02), delay)
 
 
-@settings(max_examples=400)
+@settings(max_examples=4 * settings.default.max_examples)
 @given(
     to_arm=short,
     to_tapper=short,
@@ -154,13 +136,8 @@ short = st.one_of(st.just(0.0), st.floats(0.0, 0.02), delay)
     speed=st.floats(CURVE.slowest, CURVE.fastest),
 )
 def test_no_release_falls_into_a_motion_of_the_arm(
-    to_arm: float,
-    to_tapper: float,
-    to_check: float,
-    to_release: float,
-    withdrawn_after: float,
-    speed: float,
-) -> None:
+    to_arm, to_tapper, to_check, to_release, withdrawn_after, speed
+):
     pair = Pair(speed=speed)
     call = pair.begin()
     asked = START
@@ -260,9 +237,7 @@ def test_an_answer_that_leaves_too_little_time_is_requested_again(
 
 
 @pytest.mark.parametrize("state", [ArmState.MOVING, ArmState.FAULT, ArmState.WITHDRAWING])
-def test_the_last_check_refuses_an_arm_that_reports_another_state_despite_its_promise(
-    state: int,
-) -> None:
+def test_the_last_check_refuses_an_arm_that_reports_another_state_despite_its_promise(state):
     pair = Pair()
     call = pair.begin()
     made = pair.arm.on_request("hold_still", call.request, 1, at(START + 0.002))
@@ -371,9 +346,7 @@ def test_an_answer_to_an_earlier_request_is_no_promise() -> None:
     after=st.floats(0.0, 0.2),
     outcome=st.sampled_from((TapperState.NOT_FIRED, TapperState.FIRED)),
 )
-def test_only_the_requester_of_the_promise_can_end_it(
-    key: int, tap_id: int, after: float, outcome: int
-) -> None:
+def test_only_the_requester_of_the_promise_can_end_it(key, tap_id, after, outcome):
     """Neither a request with another key nor a tapper state from any publisher shortens the
     promise."""
     pair = Pair()
@@ -415,9 +388,7 @@ def test_a_duration_that_is_no_time_does_not_end_the_promise(duration: float) ->
     ),
     first=st.booleans(),
 )
-def test_no_sequence_of_other_requests_takes_over_the_promise(
-    asked: list[tuple[int, int, float, float]], first: bool
-) -> None:
+def test_no_sequence_of_other_requests_takes_over_the_promise(asked, first):
     """Other requests to stand still, before or after the tapper's request, cannot end the arm's
     promise to the tapper early."""
     pair = Pair()
@@ -441,9 +412,7 @@ def test_no_sequence_of_other_requests_takes_over_the_promise(
 
 
 @pytest.mark.parametrize("tapper_reports", [True, False])
-def test_the_key_ends_the_promise_if_the_tapper_has_reported_its_digest(
-    tapper_reports: bool,
-) -> None:
+def test_the_key_ends_the_promise_if_the_tapper_has_reported_its_digest(tapper_reports):
     pair = Pair()
     call = pair.begin()
     if tapper_reports:

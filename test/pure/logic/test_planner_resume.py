@@ -9,17 +9,15 @@ from functools import cache
 from typing import Any
 
 import pytest
+from logic_parts import goal_handling
 from test_planner_with_played_devices import FAST, Actors
 
-from tapping_cell.configuration.cell import load_cell
 from tapping_cell.logic.clock import Now
 from tapping_cell.logic.effects import Answer, Content, Effect, KeepGoal, Log, Publish
 from tapping_cell.logic.goal_handling import GoalHandling
 from tapping_cell.logic.host import Activated, Configured, Deactivated, UnansweredRequest
-from tapping_cell.logic.other_objects import OtherObjects
 from tapping_cell.logic.planner import PlannerLogic, State
 from tapping_cell.logic.planner_settings import PlannerSettings
-from tapping_cell.logic.poses import to_message
 from tapping_cell.messages import (
     ArmState,
     Bool,
@@ -27,7 +25,6 @@ from tapping_cell.messages import (
     ErrorCode,
     PlanState,
     PoseStamped,
-    PositionObject,
     SetBool,
     TapperState,
     Time,
@@ -50,16 +47,20 @@ NOW = Now(100.0, 1_800_000_000_000_000_000)
 
 @cache
 def goals() -> GoalHandling:
-    return GoalHandling(
-        load_cell(),
-        "exact",
-        OtherObjects((), 5.0, 0.002),
-        NOW,
-        adapt=True,
-        probe=False,
-        keep_for="",
-        time_limit=600.0,
-    )
+    return goal_handling(now=NOW)
+
+
+def configured() -> PlannerLogic:
+    """Return a planner that has found a stored goal."""
+    logic = PlannerLogic(PlannerSettings())
+    event = Configured(goals().cell, goals(), kept_goal=GOAL, kept_goal_age=1.0)
+    logic.on_lifecycle(event, NOW)
+    return logic
+
+
+def kept_goal(made: Sequence[Effect]) -> Content | None:
+    """Return what the planner has stored last."""
+    return [effect.content for effect in made if isinstance(effect, KeepGoal)][-1]
 
 
 def started(
@@ -104,16 +105,16 @@ def test_a_resumed_goal_keeps_its_time_limit(kept_since: float, left: float) -> 
     """The planner stores the goal rarely, and from then on only updates the time of the file. The
     age of this time is 1 s here."""
     _, made = started({**GOAL, "kept_at": NOW.steady - kept_since})
-    kept = [effect.content for effect in made if isinstance(effect, KeepGoal)]
-    assert kept[-1] is not None and kept[-1]["time_left"] == pytest.approx(left)
+    kept = kept_goal(made)
+    assert kept is not None and kept["time_left"] == pytest.approx(left)
 
 
 @pytest.mark.parametrize(("more", "taps"), [({}, 0), ({"taps": 5}, 5)])
 def test_a_resumed_goal_counts_the_taps_before_the_crash(more: dict[str, Any], taps: int) -> None:
     logic, made = started({**GOAL, **more})
     assert logic.last.taps == taps
-    kept = [effect.content for effect in made if isinstance(effect, KeepGoal)]
-    assert kept[-1] is not None and kept[-1]["taps"] == taps, "also after the next crash"
+    kept = kept_goal(made)
+    assert kept is not None and kept["taps"] == taps, "also after the next crash"
 
 
 def test_the_number_of_taps_counts_over_a_crash() -> None:
@@ -131,11 +132,7 @@ def test_the_number_of_taps_counts_over_a_crash() -> None:
 def test_the_limit_of_taps_holds_over_crashes() -> None:
     actors = Actors(replace(FAST, attempts=100))
     actors.moves_when_fired = False
-    asked = PositionObject.Goal(goal_pose=PoseStamped(pose=to_message(FAR)), max_taps=4)
-    asked.goal_pose.header.frame_id = "table"
-    actors.wait(lambda: actors.states, "the planner is up")
-    actors.run(0.3)
-    actors.process.request("position_object", asked, 1, lambda _: None)
+    actors.request_goal(FAR, max_taps=4)
     for crash in range(1, 4):
         actors.wait(lambda crash=crash: len(actors.taps()) == crash, "a tap")
         actors.process.kill()
@@ -152,7 +149,7 @@ def test_a_tap_that_was_not_fired_is_not_counted_after_a_crash() -> None:
     kept = actors.process.disk
 
     def confirm() -> None:
-        actors.wait(lambda: actors.plans[-1].state == PlanState.CONFIRMING, "a proposed tap")
+        actors.until(PlanState.CONFIRMING)
         tap_id = actors.plans[-1].planned_tap.tap_id
         actors.call("confirm_tap", ConfirmTap.Request(tap_id=tap_id, confirm=True))
 
@@ -160,8 +157,8 @@ def test_a_tap_that_was_not_fired_is_not_counted_after_a_crash() -> None:
     confirm()
     actors.wait(actors.taps, "a tap")
     assert kept.goal is not None and kept.goal["taps"] == 1, "its outcome is not known yet"
-    actors.wait(lambda: actors.plans[-1].state == PlanState.SETTLING, "the outcome")
-    actors.wait(lambda: actors.plans[-1].state == PlanState.CONFIRMING, "another plan of the tap")
+    actors.until(PlanState.SETTLING)
+    actors.until(PlanState.CONFIRMING)
     assert kept.goal is not None and kept.goal["taps"] == 0
     actors.process.kill()
     actors.tapper_answers = TapperState.FIRED
@@ -175,16 +172,14 @@ def test_a_tap_that_was_not_fired_is_not_counted_after_a_crash() -> None:
 def test_a_goal_whose_taps_cannot_be_stored_is_not_resumed() -> None:
     actors = Actors()
     actors.send()
-    actors.wait(lambda: actors.plans[-1].state == PlanState.LOOKING, "an observation")
+    actors.until(PlanState.LOOKING)
     actors.process.disk.full = True
     actors.wait(actors.taps, "a tap")
     assert actors.process.disk.goal is None
 
 
 def test_a_goal_sent_before_the_resumption_replaces_it() -> None:
-    logic = PlannerLogic(PlannerSettings())
-    event = Configured(goals().cell, goals(), kept_goal=GOAL, kept_goal_age=1.0)
-    logic.on_lifecycle(event, NOW)
+    logic = configured()
     logic.on_lifecycle(Activated(), NOW)
     sent = PoseStamped()
     sent.header.frame_id = "table"
@@ -218,7 +213,7 @@ def test_a_goal_is_not_resumed_after_a_stop(received: list[tuple[str, Any]], cod
     logic, made = started(GOAL, received=received)
     assert logic.state is State.FAILED and logic.last.error_code == code
     assert logic.last.goal.pose.position.x == 0.01, "clients recognise their goal"
-    assert [e for e in made if isinstance(e, KeepGoal)][-1] == KeepGoal(None)
+    assert kept_goal(made) is None
     reports = [e.message for e in made if isinstance(e, Publish) and e.topic == "goal_report"]
     assert [report.error_code for report in reports] == [code]
 
@@ -251,14 +246,13 @@ def test_the_stops_that_the_planner_knows_are_stored_with_its_goal() -> None:
     state = ArmState(state=ArmState.IDLE, last_stop=Time(sec=7))
     goal = {**GOAL, "stops": {"arm": [0, 7 * 10**9]}}
     _, made = started(goal, received=[("arm_state", state)])
-    kept = [e.content for e in made if isinstance(e, KeepGoal)][-1]
+    kept = kept_goal(made)
     assert kept is not None and kept["stops"] == {"arm": [0, 7 * 10**9], "tapper": [0]}
 
 
 def test_a_goal_is_not_resumed_after_a_deactivation() -> None:
-    logic = PlannerLogic(PlannerSettings())
-    event = Configured(goals().cell, goals(), kept_goal=GOAL, kept_goal_age=1.0)
-    for lifecycle in (event, Activated(), Deactivated(), Activated()):
+    logic = configured()
+    for lifecycle in (Activated(), Deactivated(), Activated()):
         logic.on_lifecycle(lifecycle, NOW)
     logic.on_tick(NOW)
     assert logic.state is State.IDLE
@@ -282,9 +276,7 @@ def test_homing_does_not_continue_the_goal_of_a_crashed_planner() -> None:
 
 
 def test_a_goal_is_not_resumed_if_the_planner_is_activated_late() -> None:
-    logic = PlannerLogic(PlannerSettings())
-    event = Configured(goals().cell, goals(), kept_goal=GOAL, kept_goal_age=1.0)
-    logic.on_lifecycle(event, NOW)
+    logic = configured()
     later = Now(NOW.steady + 15.0, NOW.ros + 15 * 10**9)
     logic.on_lifecycle(Activated(), later)
     logic.on_tick(later)
@@ -307,9 +299,7 @@ def test_a_resumed_goal_can_be_cancelled() -> None:
 
 
 def test_a_goal_that_is_cancelled_before_its_resumption_is_not_resumed() -> None:
-    logic = PlannerLogic(PlannerSettings())
-    event = Configured(goals().cell, goals(), kept_goal=GOAL, kept_goal_age=1.0)
-    logic.on_lifecycle(event, NOW)
+    logic = configured()
     assert cancelled(logic)[0]
     logic.on_lifecycle(Activated(), NOW)
     logic.on_tick(NOW)
@@ -321,12 +311,9 @@ def test_a_cancel_before_the_planner_is_configured_deletes_the_stored_goal() -> 
     assert KeepGoal(None) in cancelled(logic)[1]
 
 
-@pytest.mark.parametrize("configured", [False, True])
-def test_a_stored_goal_is_not_resumed_if_its_cancellation_raises(configured: bool) -> None:
-    logic = PlannerLogic(PlannerSettings())
-    if configured:
-        event = Configured(goals().cell, goals(), kept_goal=GOAL, kept_goal_age=1.0)
-        logic.on_lifecycle(event, NOW)
+@pytest.mark.parametrize("is_configured", [False, True])
+def test_a_stored_goal_is_not_resumed_if_its_cancellation_raises(is_configured: bool) -> None:
+    logic = configured() if is_configured else PlannerLogic(PlannerSettings())
     lost = UnansweredRequest("~/cancel", Trigger.Request(), 1)
     made = logic.on_defect(ZeroDivisionError("defect"), NOW, lost)
     assert KeepGoal(None) in made
@@ -401,13 +388,11 @@ def test_a_goal_received_before_the_node_is_configured_is_refused() -> None:
 
 
 @pytest.mark.parametrize(("kept", "asks"), [({"ask": False}, False), ({"ask": True}, True)])
-def test_asking_that_was_switched_on_before_the_crash_can_be_switched_off(
-    kept: dict[str, Any], asks: bool
-) -> None:
+def test_asking_that_was_switched_on_before_the_crash_can_be_switched_off(kept, asks):
     """A goal that itself demands a confirmation still asks."""
     logic, made = started({**GOAL, **kept, "ask_always": True})
     assert logic.last.ask
-    stored = [effect.content for effect in made if isinstance(effect, KeepGoal)][-1]
+    stored = kept_goal(made)
     assert stored is not None and stored["ask_always"], "also after the next crash"
     logic.on_request("ask", SetBool.Request(data=False), 1, NOW)
     assert logic.last.ask is asks
@@ -416,5 +401,5 @@ def test_asking_that_was_switched_on_before_the_crash_can_be_switched_off(
 @pytest.mark.parametrize("probe", [False, True])
 def test_a_resumed_goal_still_probes(probe: bool) -> None:
     _, made = started({**GOAL, "probe": probe})
-    stored = [effect.content for effect in made if isinstance(effect, KeepGoal)][-1]
+    stored = kept_goal(made)
     assert stored is not None and stored["probe"] is probe

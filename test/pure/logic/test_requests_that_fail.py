@@ -77,18 +77,13 @@ class Clients(Actors):
 @pytest.mark.parametrize(
     ("action", "asked"),
     [
-        (
-            "position_object",
-            PositionObject.Goal(goal_pose=placed(OTHER), angle_tolerance=math.pi),
-        ),
+        ("position_object", PositionObject.Goal(goal_pose=placed(OTHER), angle_tolerance=math.pi)),
         ("position_object", PositionObject.Goal(goal_pose=placed(OTHER), position_tolerance=0.2)),
         ("arrange_objects", arrangement(angle_tolerance=math.pi)),
         ("arrange_objects", arrangement(position_tolerance=0.2)),
     ],
 )
-def test_a_goal_with_too_large_a_tolerance_is_refused_and_the_present_goal_goes_on(
-    action: str, asked: Any
-) -> None:
+def test_a_goal_with_too_large_a_tolerance_is_refused_and_the_present_goal_goes_on(action, asked):
     clients = Clients()
     (answer,) = clients.send_action(action, asked, 2)
     assert answer.error_code == ErrorCode.GOAL_BAD_TOLERANCE
@@ -110,13 +105,8 @@ REQUESTS = [
     ],
 )
 def test_a_goal_whose_check_raises_is_refused_and_the_present_goal_goes_on(
-    monkeypatch: pytest.MonkeyPatch,
-    action: str,
-    method: str,
-    asked: Any,
-    error: Exception,
-    code: int,
-) -> None:
+    monkeypatch, action, method, asked, error, code
+):
     clients = Clients()
 
     def fail(*_: Any) -> None:
@@ -139,9 +129,7 @@ def test_a_goal_whose_check_raises_is_refused_and_the_present_goal_goes_on(
         ("~/cancel", Trigger.Request(), lambda a: not a.success),
     ],
 )
-def test_a_request_whose_handler_raises_is_answered_once(
-    service: str, request_: Any, failed: Any
-) -> None:
+def test_a_request_whose_handler_raises_is_answered_once(service, request_, failed):
     logic = PlannerLogic(FAST)
     made = logic.on_defect(
         ZeroDivisionError("defect"), NOW, UnansweredRequest(service, request_, 7)
@@ -164,9 +152,7 @@ def test_a_request_of_a_driver_whose_handler_raises_is_answered() -> None:
     assert not answer.response.granted and answer.response.error_code == ErrorCode.INTERNAL
 
 
-def test_a_request_that_raises_is_answered_and_the_present_goal_ends_with_its_result(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_request_that_raises_is_answered_and_the_present_goal_ends_with_its_result(monkeypatch):
     clients = Clients()
     monkeypatch.setattr(clients.process.logic, "_on_confirmation", fail)
     (answer,) = clients.send_action("confirm_tap", ConfirmTap.Request(tap_id=1, confirm=True), 2)
@@ -177,9 +163,7 @@ def test_a_request_that_raises_is_answered_and_the_present_goal_ends_with_its_re
     assert clients.plans[-1].state == PlanState.FAILED
 
 
-def test_a_defect_at_the_start_of_a_goal_answers_both_clients(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_defect_at_the_start_of_a_goal_answers_both_clients(monkeypatch):
     clients = Clients()
     monkeypatch.setattr(clients.process.logic, "_keep_goal", fail)
     second = clients.send_action("position_object", PositionObject.Goal(goal_pose=placed(OTHER)), 2)
@@ -208,9 +192,7 @@ def fail_at_cancellation(
 
 
 @pytest.mark.parametrize("fails", ["_publish_withdrawal", "_report", "_park"])
-def test_a_tap_is_withdrawn_if_the_cancellation_of_its_goal_raises(
-    monkeypatch: pytest.MonkeyPatch, fails: str
-) -> None:
+def test_a_tap_is_withdrawn_if_the_cancellation_of_its_goal_raises(monkeypatch, fails):
     clients = Clients()
     (tap,) = clients.taps()
     raised = fail_at_cancellation(monkeypatch, clients, fails)
@@ -220,9 +202,7 @@ def test_a_tap_is_withdrawn_if_the_cancellation_of_its_goal_raises(
     assert clients.first, "the client has received the result of its goal"
 
 
-def test_a_goal_ends_as_usual_if_its_gains_cannot_be_learnt(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_goal_ends_as_usual_if_its_gains_cannot_be_learnt(monkeypatch):
     clients = Clients()
     monkeypatch.setattr(clients.process.logic.goals, "learn", fail)
     clients.wait(lambda: clients.first, "the client's result")
@@ -232,9 +212,7 @@ def test_a_goal_ends_as_usual_if_its_gains_cannot_be_learnt(
 
 
 @pytest.mark.parametrize("fails", ["_keep_goal", "_enter"])
-def test_a_tap_whose_command_was_not_published_does_not_count(
-    monkeypatch: pytest.MonkeyPatch, fails: str
-) -> None:
+def test_a_tap_whose_command_was_not_published_does_not_count(monkeypatch, fails):
     """The internal error occurs before or after the command was prepared."""
     clients = Clients()
     logic = clients.process.logic
@@ -255,9 +233,7 @@ def test_a_tap_whose_command_was_not_published_does_not_count(
 
 
 @pytest.mark.parametrize("fails", ["_report", "_park"])
-def test_the_last_tap_counts_once_if_the_end_of_its_goal_raises(
-    monkeypatch: pytest.MonkeyPatch, fails: str
-) -> None:
+def test_the_last_tap_counts_once_if_the_end_of_its_goal_raises(monkeypatch, fails):
     clients = Clients()
     assert clients.taps()
     raised = fail_at_cancellation(monkeypatch, clients, fails)
@@ -266,18 +242,14 @@ def test_the_last_tap_counts_once_if_the_end_of_its_goal_raises(
 
 
 @pytest.mark.parametrize("logic", [ArmLogic(ArmOptions()), TapperLogic(TapperOptions())])
-def test_a_driver_follows_a_life_cycle_event_whose_handler_raises(
-    logic: ArmLogic | TapperLogic,
-) -> None:
+def test_a_driver_follows_a_life_cycle_event_whose_handler_raises(logic):
     """The node counts as active or inactive, so its state machine must be, too."""
     for event in (Activated(), Deactivated()):
         logic.on_defect(ZeroDivisionError("defect"), NOW, event)
         assert logic.active == isinstance(event, Activated)
 
 
-def test_a_planner_whose_deactivation_raises_accepts_no_goal(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_planner_whose_deactivation_raises_accepts_no_goal(monkeypatch):
     clients = Clients()
     logic = clients.process.logic
     with monkeypatch.context() as broken:

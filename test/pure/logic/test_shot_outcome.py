@@ -45,9 +45,7 @@ class Line:
 
 
 @given(st.sampled_from(FireOutcome), st.sampled_from([0, SHOT - 1, SHOT]))
-def test_an_outcome_that_the_board_does_not_confirm_is_unknown(
-    reported: FireOutcome, last_fired: int
-) -> None:
+def test_an_outcome_that_the_board_does_not_confirm_is_unknown(reported, last_fired):
     context = cast(JobContext, SimpleNamespace(driver=Line(reported, last_fired)))
     end = tapper_jobs.fire(context, SHOT, lambda release_by, now: None, post_replies=False)
     agrees = (reported is FireOutcome.FIRED) == (last_fired == SHOT)
@@ -107,9 +105,7 @@ each_end = pytest.mark.parametrize(
 
 @pytest.mark.parametrize("interruptions", [(stop,), (stop, stop), (defect,), (stop, defect)])
 @each_end
-def test_a_shot_that_is_interrupted_gets_its_true_outcome(
-    interruptions: tuple[Callable[[TapperLogic], None], ...], end: dict[str, object], outcome: int
-) -> None:
+def test_a_shot_that_is_interrupted_gets_its_true_outcome(interruptions, end, outcome):
     tapper, fire = firing()
     for interrupt in interruptions:
         interrupt(tapper)
@@ -127,9 +123,7 @@ def test_a_shot_whose_job_ends_by_a_program_error_may_have_been_fired() -> None:
 
 
 @each_end
-def test_a_shot_whose_end_meets_a_program_error_gets_its_true_outcome(
-    end: dict[str, object], outcome: int
-) -> None:
+def test_a_shot_whose_end_meets_a_program_error_gets_its_true_outcome(end, outcome):
     tapper, fire = firing()
     made = tapper.on_defect(PROGRAM_ERROR, at(START + 0.1), JobEnded(fire, **end))
     assert any(isinstance(effect, StopWire) for effect in made)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from hypothesis import given
 from hypothesis import strategies as st
+from logic_parts import board_reply
 
 from tapping_cell.configuration.cell import load_cell
-from tapping_cell.hardware.tapper_protocol import Mode, Reply, Result
-from tapping_cell.hardware.tapper_protocol import State as BoardState
+from tapping_cell.hardware.tapper_protocol import State
 from tapping_cell.logic import tap_commands
 from tapping_cell.logic.clock import Now, to_stamp
 from tapping_cell.logic.effects import Publish
@@ -49,23 +49,7 @@ def test_a_strike_pose_with_a_quaternion_that_is_not_normalised_is_refused(norm:
 def test_the_tapper_refuses_a_tap_for_another_tapper_and_names_itself() -> None:
     now = Now(steady=100.0, ros=10**18)
     machine = TapperLogic(TapperOptions())
-    safe = Reply(
-        session=1,
-        sequence=1,
-        result=Result.OK,
-        state=BoardState.SAFE,
-        shot=0,
-        energy=0.0,
-        interlock_closed=True,
-        stop_latched=False,
-        last_fired=0,
-        speed=None,
-        boot=1,
-        time_ms=0,
-        mode=Mode.RUN,
-        enabled=False,
-    )
-    machine.on_lifecycle(Configured(load_cell(), safe), now)
+    machine.on_lifecycle(Configured(load_cell(), board_reply(State.SAFE)), now)
     machine.on_lifecycle(Activated(), now)
     for tap_id, name, code in ((1, "south", ErrorCode.TAPPER_UNKNOWN), (2, "", ErrorCode.NONE)):
         command = TapCommand(tap_id=tap_id, tapper=name, striker_speed=0.3)

@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 from virtual_node import VirtualNode
 
+from lab.virtual_cell.serial_line import SerialLine
 from tapping_cell.hardware.tapper import TapperDriver
 from tapping_cell.logic.host import Deactivated
 from tapping_cell.logic.poses import to_message
@@ -30,7 +31,6 @@ from tapping_cell.se2 import Pose
 from tapping_cell.simulation.fault_layer import Direction, FaultKind, LineFault
 from tapping_cell.simulation.spring_drive import SpringMechanism
 from tapping_cell.simulation.tapper_emulator import TapperEmulator, TapperMachine
-from tapping_cell.verification.serial_line import SerialLine
 
 
 class Cell(VirtualNode):
@@ -97,16 +97,36 @@ class Cell(VirtualNode):
             self.publish_arm(**arm)
             self.run(0.05)
 
-    def arm_stands(self) -> None:
-        self.publish_arm(100)
-
     def fire(self, tap_id: int) -> None:
         """Command a tap, publish that the arm is in position, and wait for the shot."""
         self.command(tap_id)
+        self.until_outcome(tap_id, TapperState.FIRED)
+
+    def until_outcome(self, tap_id: int, outcome: int) -> None:
+        """Publish that the arm is in position until the tap has this outcome."""
         self.publish_until(
-            lambda: self.outcome(tap_id) == TapperState.FIRED,
-            f"tap {tap_id} fired",
+            lambda: self.outcome(tap_id) == outcome,
+            f"tap {tap_id} has outcome {outcome}",
             lambda: self.publish_arm(tap_id),
+        )
+
+    def until_charging(self, tap_id: int) -> None:
+        """Command a tap and publish that the arm is in position until the board charges."""
+        self.command(tap_id)
+        self.publish_until(
+            lambda: self.device.state == "CHARGING",
+            "the board charges",
+            lambda: self.publish_arm(tap_id),
+            0.04,
+        )
+
+    def until_charged(self, tap_id: int) -> None:
+        """Command a tap and publish that the arm moves until the striker is charged."""
+        self.command(tap_id)
+        self.publish_until(
+            lambda: self.last.state == TapperState.CHARGED,
+            "charged",
+            lambda: self.publish_arm(tap_id, ArmState.MOVING),
         )
 
     def outcome(self, tap_id: int) -> int:
@@ -130,9 +150,7 @@ def test_the_tapper_fires_once_when_the_arm_is_in_position(cell: Cell) -> None:
     cell.command(100)
     cell.run(0.2)
     assert cell.shots() == []
-    cell.publish_until(
-        lambda: cell.outcome(100) == TapperState.FIRED, "fired", lambda: cell.publish_arm(100)
-    )
+    cell.until_outcome(100, TapperState.FIRED)
     assert cell.shots() == [100]
     # The command arrives a second time while the arm is still in position. The node must not fire
     # again.
@@ -157,9 +175,7 @@ def test_the_tapper_fires_once_when_the_arm_is_in_position(cell: Cell) -> None:
     ],
     ids=["another tap", "moving", "faulted", "stale", "from the future"],
 )
-def test_the_tapper_does_not_fire_if_a_condition_is_not_met(
-    cell: Cell, arm: dict[str, object], code: int
-) -> None:
+def test_the_tapper_does_not_fire_if_a_condition_is_not_met(cell, arm, code):
     cell.command(100, valid=1.0)
     cell.keep_publishing(1.2, **arm)
     cell.wait(lambda: cell.outcome(100) == TapperState.NOT_FIRED, "not fired")
@@ -269,11 +285,7 @@ def test_no_shot_is_fired_unless_the_arm_promises_to_stand_still(cell: Cell) -> 
     """The arm's state IN_POSITION alone does not permit a shot."""
     cell.arm_holds = False
     cell.command(100)
-    cell.publish_until(
-        lambda: cell.outcome(100) == TapperState.NOT_FIRED,
-        "not fired",
-        lambda: cell.publish_arm(100),
-    )
+    cell.until_outcome(100, TapperState.NOT_FIRED)
     assert cell.last.error_code == ErrorCode.TAPPER_ARM_NOT_IN_POSITION
     assert cell.shots() == []
     cell.arm_holds = True
@@ -289,9 +301,7 @@ def test_no_shot_is_fired_unless_the_arm_promises_to_stand_still(cell: Cell) -> 
     ],
     ids=["turned", "moved", "hidden"],
 )
-def test_an_object_away_from_its_planned_pose_is_not_struck(
-    cell: Cell, pose: Pose, visible: bool, code: int
-) -> None:
+def test_an_object_away_from_its_planned_pose_is_not_struck(cell, pose, visible, code):
     """An object that was turned, moved or hidden after planning is not struck."""
     cell.command(100, valid=1.0)
 
@@ -359,8 +369,6 @@ charged."""
     "lost", ["planner", "arm", "camera", "pictures", "usable pictures"], ids=lambda name: name
 )
 def test_the_striker_is_discharged_if_a_peer_falls_silent(lost: str) -> None:
-    """The delay until the striker is discharged is measured with real processes by
-    benchmarks/disarm.py."""
     cell = Cell(SLOW)
     last = cell.stamp()
 
@@ -392,9 +400,7 @@ def test_the_striker_is_discharged_if_a_peer_falls_silent(lost: str) -> None:
     assert cell.shots() == []
 
 
-def test_the_striker_is_not_charged_while_the_planner_is_silent(
-    cell: Cell,
-) -> None:
+def test_the_striker_is_not_charged_while_the_planner_is_silent(cell):
     cell.command(100)
     cell.wait(lambda: cell.last.tap_id == 100, "taken")
     cell.publish("plan_state", PlanState(state=PlanState.PLACING))
@@ -442,9 +448,7 @@ def test_a_foreign_command_does_not_affect_the_active_tap(cell: Cell) -> None:
     cell.withdraw(999)
     cell.run(0.3)
     assert cell.last.tap_id == 100 and cell.outcome(100) == TapperState.NONE
-    cell.publish_until(
-        lambda: cell.outcome(100) == TapperState.FIRED, "fired", lambda: cell.publish_arm(100)
-    )
+    cell.until_outcome(100, TapperState.FIRED)
     assert cell.shots() == [100]
     # The planner's next tap is accepted although the id 999 was received before.
     cell.fire(101)
@@ -462,9 +466,7 @@ def test_a_foreign_command_does_not_affect_the_active_tap(cell: Cell) -> None:
     ],
     ids=["request", "frame", "NaN", "expires in a day", "from the future"],
 )
-def test_an_invalid_command_is_refused_with_a_message_and_blocks_no_other(
-    cell: Cell, change: dict[str, float], code: int
-) -> None:
+def test_an_invalid_command_is_refused_with_a_message_and_blocks_no_other(cell, change, code):
     message = TapCommand(request=int(change.get("request", TapCommand.TAP)), tap_id=100)
     message.header.frame_id = str(change.get("frame", "table"))
     message.striker_speed = float(change.get("speed", 0.3))
@@ -480,13 +482,7 @@ def test_an_invalid_command_is_refused_with_a_message_and_blocks_no_other(
 
 def test_deactivation_during_charging_discharges_the_striker() -> None:
     cell = Cell(SLOW)
-    cell.command(100)
-    cell.publish_until(
-        lambda: cell.device.state == "CHARGING",
-        "the draw begins",
-        lambda: cell.publish_arm(100),
-        0.04,
-    )
+    cell.until_charging(100)
     cell.process.lifecycle(Deactivated())
     cell.wait(lambda: cell.outcome(100) == TapperState.NOT_FIRED, "not fired")
     # The error code is that of the deactivation, not of a message timeout or a slow charge.
@@ -506,18 +502,12 @@ def test_a_stop_published_before_the_node_started_is_held() -> None:
 
 
 @pytest.mark.parametrize("withdrawn", ["before", "meanwhile", "never"])
-@pytest.mark.parametrize("moment", range(0, 20, 2))
+@pytest.mark.parametrize("moment", range(0, 20, 6))
 def test_a_frozen_tapper_recovers_automatically(withdrawn: str, moment: int) -> None:
     """The board has discharged by itself, so the state is known to be safe and nobody needs to
     clear a fault."""
     cell = Cell(SLOW)
-    cell.command(100)
-    cell.publish_until(
-        lambda: cell.device.state == "CHARGING",
-        "the draw begins",
-        lambda: cell.publish_arm(100),
-        0.04,
-    )
+    cell.until_charging(100)
     cell.run(0.001 * moment)
     if withdrawn == "before":
         cell.withdraw(100)
@@ -567,9 +557,7 @@ def test_a_tapper_frozen_during_a_shot_reports_unknown_once_and_becomes_ready() 
 
 
 @pytest.mark.parametrize("read", [True, False])
-def test_a_restarted_tapper_does_not_report_an_id_used_by_its_board_as_not_fired(
-    cell: Cell, read: bool
-) -> None:
+def test_a_restarted_tapper_does_not_report_an_id_used_by_its_board_as_not_fired(cell, read):
     """The tap may have been fired before the restart. Until the board was read, no outcome is
     reported."""
     cell.fire(100)
@@ -598,23 +586,14 @@ def test_a_shot_refused_by_the_board_is_reported_with_the_boards_reason(cell: Ce
     cell.process.on_asked = lambda process, job, answer: (
         cell.device.set_interlock(False, cell.now()) if job == "fire" else None
     )
-    cell.publish_until(
-        lambda: cell.outcome(100) == TapperState.NOT_FIRED,
-        "not fired",
-        lambda: cell.publish_arm(100),
-    )
+    cell.until_outcome(100, TapperState.NOT_FIRED)
     assert cell.last.error_code == ErrorCode.TAPPER_INTERLOCK_OPEN
     assert "close the guard" in cell.last.error_msg
     assert cell.shots() == []
 
 
 def test_a_guard_opened_while_charged_is_named_as_the_cause(cell: Cell) -> None:
-    cell.command(100)
-    cell.publish_until(
-        lambda: cell.last.state == TapperState.CHARGED,
-        "charged",
-        lambda: cell.publish_arm(100, ArmState.MOVING),
-    )
+    cell.until_charged(100)
     cell.device.set_interlock(False, cell.now())
     cell.keep_publishing(0.3, tap_id=100, state=ArmState.MOVING)
     # The guard is closed again before the arm is in position.
@@ -628,12 +607,7 @@ def test_a_guard_opened_while_charged_is_named_as_the_cause(cell: Cell) -> None:
 
 
 def test_a_charge_lost_for_another_reason_ends_the_tap_at_once(cell: Cell) -> None:
-    cell.command(100)
-    cell.publish_until(
-        lambda: cell.last.state == TapperState.CHARGED,
-        "charged",
-        lambda: cell.publish_arm(100, ArmState.MOVING),
-    )
+    cell.until_charged(100)
     cell.device.set_interlock(False, cell.now())
     cell.run(0.02)
     cell.device.set_interlock(True, cell.now())

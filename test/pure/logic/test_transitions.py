@@ -30,9 +30,7 @@ RULES = table(
 
 
 @given(st.lists(st.tuples(st.sampled_from(Event), st.sampled_from(Light))))
-def test_a_machine_follows_its_table_and_refuses_everything_else(
-    moves: list[tuple[Event, Light]],
-) -> None:
+def test_a_machine_follows_its_table_and_refuses_everything_else(moves):
     machine: StateMachine[Light, Event] = StateMachine(RULES, Light.RED)
     for event, target in moves:
         before = machine.state

@@ -62,9 +62,7 @@ strikes = st.tuples(
 
 
 @given(strikes)
-def test_object_and_markers_are_unobstructed_after_every_withdrawal(
-    tap: tuple[float, float, float, float],
-) -> None:
+def test_object_and_markers_are_unobstructed_after_every_withdrawal(tap):
     made = struck(*tap)
     assume(made is not None)
     scene, joints = made
@@ -85,9 +83,7 @@ def test_object_and_markers_are_unobstructed_after_every_withdrawal(
     st.floats(-0.2, 0.2),
     st.floats(-0.12, 0.12),
 )
-def test_every_object_that_the_arm_hides_is_known_to_be_possibly_hidden(
-    joints: tuple[float, float, float, float], x: float, y: float
-) -> None:
+def test_every_object_that_the_arm_hides_is_known_to_be_possibly_hidden(joints, x, y):
     tip, place = GEOMETRY.forward(joints), (x, y, CELL.object.height)
     room = CELL.object.body().bounding_radius
     assume(GEOMETRY.inverse((tip.x, tip.y, tip.z, tip.yaw)).success)

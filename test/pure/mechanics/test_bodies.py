@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from tapping_cell.mechanics import Disk, InvalidBodyError, Polygon, Ring
@@ -20,7 +20,6 @@ def test_a_disk_and_a_ring_have_correct_moments_of_inertia():
     assert ring.inertia == pytest.approx(0.1 * 0.05**2)
 
 
-@settings(deadline=None)
 @given(st.floats(0.01, 1), st.floats(0.01, 1), st.floats(-5, 5), st.floats(-3, 3), st.booleans())
 def test_a_rectangle_has_correct_moments_in_any_position_and_order(a, b, offset, angle, flip):
     corners = np.array([(0, 0), (a, 0), (a, b), (0, b)])
@@ -53,14 +52,7 @@ def test_the_boundary_of_a_square_lies_on_its_edges():
 
 @pytest.mark.parametrize(
     "radius, mass, height",
-    [
-        (-1, 1, 1),
-        (1, -0.2, 1),
-        (1, 1, 0),
-        (math.nan, 1, 1),
-        (1, math.inf, 1),
-        ("wide", 1, 1),
-    ],
+    [(-1, 1, 1), (1, -0.2, 1), (1, 1, 0), (math.nan, 1, 1), (1, math.inf, 1), ("wide", 1, 1)],
 )
 @pytest.mark.parametrize("shape", [Disk, Ring])
 def test_an_impossible_body_is_refused(shape, radius, mass, height):

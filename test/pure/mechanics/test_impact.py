@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from tapping_cell.mechanics import Disk, Impact, InvalidParameterError, Ring, Striker
@@ -51,7 +51,6 @@ def energy(impact, result, speed=1.0):
     return after / 2, striker.mass * speed**2 / 2
 
 
-@settings(deadline=None)
 @given(constraints, masses, restitutions, frictions, incidences, contacts)
 def test_energy_is_never_gained_and_the_impulse_lies_in_the_cone(
     constraint, mass, restitution, friction, incidence, contact
@@ -86,7 +85,6 @@ def test_the_impact_cases_agree_with_numerical_integration(constraint):
     assert endings == {"stuck", "slid", "reversed"}
 
 
-@settings(deadline=None)
 @given(constraints, masses, restitutions, frictions, incidences, contacts)
 def test_a_mirrored_impact_has_a_mirrored_result(
     constraint, mass, restitution, friction, incidence, contact
@@ -99,7 +97,6 @@ def test_a_mirrored_impact_has_a_mirrored_result(
     assert there.spin == pytest.approx(-here.spin, rel=1e-9, abs=1e-12)
 
 
-@settings(deadline=None)
 @given(constraints, masses, frictions, incidences, contacts)
 def test_poisson_scales_the_normal_impulse(constraint, mass, friction, incidence, contact):
     striker = Striker(mass, 0.005, constraint)
@@ -109,7 +106,6 @@ def test_poisson_scales_the_normal_impulse(constraint, mass, friction, incidence
     assert hard.normal_impulse == pytest.approx(1.6 * soft.normal_impulse, rel=1e-12)
 
 
-@settings(deadline=None)
 @given(masses, restitutions)
 def test_a_central_impact_matches_the_textbook_formula(mass, restitution):
     impact = Impact(DISK, Striker(mass, 0.005), restitution, 0.2)
@@ -122,7 +118,6 @@ def test_a_central_impact_matches_the_textbook_formula(mass, restitution):
     assert result.spin == 0
 
 
-@settings(deadline=None)
 @given(constraints, masses, restitutions, frictions, st.floats(-1, 1))
 def test_incidence_for_finds_the_impulse(constraint, mass, restitution, friction, share):
     impact = Impact(DISK, Striker(mass, 0.005, constraint), restitution, friction)

@@ -55,9 +55,7 @@ def test_sensitivity_refuses_a_tap_outside_the_cone(capsys):
 def test_bench_measures_speed_and_accuracy(capsys, monkeypatch):
     for name, value in (
         ("_MANY", 20_000),
-        ("_ONE", 200),
         ("_POLYGONS", 20),
-        ("_TAPS", 100),
         ("_LAUNCHES", 2),
     ):
         monkeypatch.setattr(benchmark, name, value)
@@ -69,4 +67,4 @@ def test_bench_measures_speed_and_accuracy(capsys, monkeypatch):
     assert report["round_trip_error"] < 1e-9
     assert "skipped" in report["mujoco"] or report["mujoco"]["models"]
     text = "\n".join(benchmark.lines(report))
-    assert "taps/s in a million" in text and "solve_ivp" in text and "MuJoCo" in text
+    assert "inverse:" in text and "solve_ivp" in text and "MuJoCo" in text

@@ -78,12 +78,7 @@ def brute_force(body, friction, kappa, speed, spin, direction, cells=40):
 @pytest.mark.parametrize("name", BODIES)
 @pytest.mark.parametrize(
     "kappa, speed, spin, direction",
-    [
-        (1.0, 0.3, 3.0, 0.0),
-        (3.64, 0.3, 3.0, 0.5),
-        (1.0, 0.05, 20.0, 2.0),
-        (2.17, 0.2, -12.0, -1.0),
-    ],
+    [(1.0, 0.3, 3.0, 0.0), (3.64, 0.3, 3.0, 0.5), (1.0, 0.05, 20.0, 2.0), (2.17, 0.2, -12.0, -1.0)],
 )
 def test_rest_agrees_with_brute_force_integration(name, kappa, speed, spin, direction):
     body = BODIES[name]
@@ -127,7 +122,7 @@ directions = st.floats(-3, 3)
 bodies = st.sampled_from(list(BODIES.values()))
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=settings.default.max_examples // 5)
 @given(bodies, st.floats(0.3, 4.0), speeds, spins, directions)
 def test_launch_inverts_rest(body, kappa, speed, spin, direction):
     slide = Sliding(body, 0.17, kappa)
@@ -136,7 +131,7 @@ def test_launch_inverts_rest(body, kappa, speed, spin, direction):
     assert launch == pytest.approx((speed, spin), rel=1e-9)
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=settings.default.max_examples // 12)
 @given(bodies, speeds, spins, directions)
 def test_twist_for_inverts_displace(body, speed, spin, direction):
     slide = Sliding(body, 0.17, 2.0)
@@ -147,7 +142,7 @@ def test_twist_for_inverts_displace(body, speed, spin, direction):
     assert again[0, 2] == pytest.approx(moved[0, 2], rel=1e-9)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=settings.default.max_examples // 5)
 @given(speeds, spins, directions)
 def test_a_square_slides_alike_after_a_quarter_turn_and_in_a_mirror(speed, spin, direction):
     slide = Sliding(SQUARE, 0.17, 2.0)
@@ -160,7 +155,7 @@ def test_a_square_slides_alike_after_a_quarter_turn_and_in_a_mirror(speed, spin,
 
 
 @given(bodies, speeds, directions)
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=settings.default.max_examples // 5)
 def test_a_slide_without_spin_is_straight(body, speed, direction):
     rest = Sliding(body, 0.17).rest(speed, 0.0, direction)
     assert rest.distance == pytest.approx(speed**2 / (2 * 0.17 * G), rel=1e-5)

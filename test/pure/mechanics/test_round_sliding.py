@@ -16,7 +16,7 @@ from tapping_cell.mechanics.slide_table import slide_table
 DISK = Disk(radius=0.048, mass=0.2455, height=0.012)
 RING = Ring(radius=0.03, mass=0.1, height=0.01)
 PAPER = Sliding(DISK, friction=0.17, torque_factor=3.64)
-KAPPAS = (0.2, 0.6, 0.75, 1.0, 1.5, 2.0, 3.64, 5.0)
+KAPPAS = (0.2, 0.75, 1.0, 2.0, 3.64)
 SPIN_RATIOS = (1e-9, 1e-4, 0.03, 0.4, 0.99, 1.01, 3.0, 60.0, 1e6)
 bodies = st.sampled_from([DISK, RING])
 kappas = st.sampled_from(KAPPAS)
@@ -39,15 +39,6 @@ def test_rest_agrees_with_a_tight_integration(body, kappa):
     assert np.abs(many / expected - 1).max() < 1e-8
 
 
-@settings(deadline=None)
-@given(bodies, kappas, either, either)
-def test_launch_inverts_rest(body, kappa, speed, spin):
-    slide = Sliding(body, 0.17, kappa)
-    distance, rotation, _ = slide.rest(speed, spin)
-    assert slide.launch(distance, rotation) == pytest.approx((speed, spin), rel=1e-9)
-
-
-@settings(deadline=None)
 @given(bodies, kappas, st.lists(st.tuples(either, either), min_size=1, max_size=20))
 def test_rest_inverts_launch_for_arrays(body, kappa, wanted):
     slide = Sliding(body, 0.17, kappa)
@@ -69,7 +60,6 @@ def test_round_trip_from_pure_sliding_to_pure_spinning(body, kappa):
         assert np.allclose(again.rotation, rotation, rtol=1e-9, atol=0)
 
 
-@settings(deadline=None)
 @given(bodies, kappas, either, either)
 def test_scalar_and_array_results_agree(body, kappa, speed, spin):
     slide = Sliding(body, 0.17, kappa)
@@ -81,7 +71,6 @@ def test_scalar_and_array_results_agree(body, kappa, speed, spin):
     )
 
 
-@settings(deadline=None)
 @given(bodies, kappas, either, either, st.floats(0.01, 100))
 def test_the_distance_scales_with_the_square_of_the_velocity(body, kappa, speed, spin, c):
     slide = Sliding(body, 0.17, kappa)
@@ -90,7 +79,6 @@ def test_the_distance_scales_with_the_square_of_the_velocity(body, kappa, speed,
     assert far == pytest.approx(expected, rel=1e-9)
 
 
-@settings(deadline=None)
 @given(bodies, kappas, sizes, sizes, st.floats(0.01, 2), st.floats(0.01, 2), st.floats(0.1, 20))
 def test_mass_size_and_friction_scale_out(body, kappa, speed, rim, mass, radius, friction):
     other = type(body)(radius, mass, 0.01)
@@ -102,7 +90,6 @@ def test_mass_size_and_friction_scale_out(body, kappa, speed, rim, mass, radius,
     assert there.duration == pytest.approx(here.duration * ratio, rel=1e-9)
 
 
-@settings(deadline=None)
 @given(bodies, kappas, sizes, sizes)
 def test_mirror_images(body, kappa, speed, spin):
     slide = Sliding(body, 0.17, kappa)
@@ -127,7 +114,6 @@ def test_more_speed_or_spin_increases_distance_and_rotation(body, kappa):
         assert (np.diff(distance) > 0).all() and (np.diff(rotation) > 0).all()
 
 
-@settings(deadline=None)
 @given(bodies, kappas, either)
 def test_a_slide_without_spin_is_straight(body, kappa, speed):
     distance, rotation, duration = Sliding(body, 0.17, kappa).rest(speed, 0.0)
@@ -137,7 +123,6 @@ def test_a_slide_without_spin_is_straight(body, kappa, speed):
     assert duration == pytest.approx(abs(speed) / g, rel=1e-12)
 
 
-@settings(deadline=None)
 @given(kappas, either)
 def test_a_launch_without_speed_is_a_spin_in_place(kappa, spin):
     slide = Sliding(DISK, 0.17, kappa)
@@ -213,12 +198,7 @@ def test_non_finite_values_are_refused(wrong):
 
 @pytest.mark.parametrize(
     "name, value",
-    [
-        ("friction", 0.0),
-        ("friction", -0.1),
-        ("torque_factor", 0.0),
-        ("gravity", math.nan),
-    ],
+    [("friction", 0.0), ("friction", -0.1), ("torque_factor", 0.0), ("gravity", math.nan)],
 )
 def test_parameters_out_of_range_are_refused(name, value):
     with pytest.raises(InvalidParameterError, match=name.replace("_", " ")):
@@ -283,7 +263,7 @@ def test_profiles_agree_with_solve_ivp(body, kappa, v0, w0):
         assert np.abs(got - want).max() < 1e-7 * np.abs(want).max()
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=settings.default.max_examples // 5)
 @given(st.floats(0.05, 20.0), st.sampled_from(["disk", "ring"]))
 def test_any_torque_factor_has_a_table(kappa, support):
     table = slide_table(support, kappa)

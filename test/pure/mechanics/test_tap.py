@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from tapping_cell import se2
@@ -64,7 +64,6 @@ def backed(poses, travel):
     poses,
     st.floats(0, 0.1),
 )
-@settings(deadline=None)
 def test_plan_then_outcome_is_the_identity(
     body, constraint, friction, kappa, mass, distance, direction, share, pose, standoff
 ):
@@ -110,12 +109,15 @@ def test_plan_then_outcome_is_the_identity_for_arrays():
     assert np.allclose(np.arctan2(point[:, 1], point[:, 0]), plan.contact_angle)
 
 
-@pytest.mark.parametrize("body", [SQUARE, TRIANGLE], ids=["square", "triangle"])
-@pytest.mark.parametrize("constraint", ["linear_bearings", "free"])
+@pytest.mark.parametrize(
+    ("body", "constraint"),
+    [(SQUARE, "linear_bearings"), (TRIANGLE, "free")],
+    ids=["square", "triangle"],
+)
 def test_plan_then_outcome_is_the_identity_for_polygons(body, constraint):
     tap = make(body, 0.3, constraint, kappa=2.17)
     generator = np.random.default_rng(1)
-    n = 60
+    n = 20
     distance, direction = generator.uniform(0.002, 0.1, n), generator.uniform(-4, 4, n)
     rotation = generator.uniform(-1, 1, n) * tap.cone_slope * distance
     wanted = np.stack([distance * np.cos(direction), distance * np.sin(direction), rotation], 1)
@@ -132,11 +134,10 @@ def test_plan_then_outcome_is_the_identity_for_polygons(body, constraint):
     assert (abs(result.tangential_impulse) <= 0.3 * result.normal_impulse * (1 + 1e-9)).all()
 
 
-@given(poses, st.floats(-0.3, 0.3), st.floats(-0.3, 0.3), angles, st.floats(0.05, 2), poses)
-@settings(deadline=None)
-def test_moving_the_whole_scene_moves_the_outcome(held, x, y, beta, speed, scene):
-    strike = (x, y, beta)
-    assume(not PAPER.strike(held, strike, speed).missed)
+@given(poses, angles, st.floats(0.06, 0.3), st.floats(-0.05, 0.05), st.floats(0.05, 2), poses)
+def test_moving_the_whole_scene_moves_the_outcome(held, direction, back, aside, speed, scene):
+    strike = se2.compose(se2.compose(held, (0.0, 0.0, direction)), (-back, aside, 0.0))
+    assert not PAPER.strike(held, strike, speed).missed
     here = PAPER.outcome(held, strike, speed)
     there = PAPER.outcome(se2.compose(scene, held), se2.compose(scene, strike), speed)
     turned = se2.transform_points((0, 0, scene[2]), here[:2])
@@ -145,7 +146,6 @@ def test_moving_the_whole_scene_moves_the_outcome(held, x, y, beta, speed, scene
 
 
 @given(st.floats(-0.2, 0.2), angles, st.floats(0.05, 2), st.sampled_from([DISK, SQUARE]))
-@settings(deadline=None, max_examples=40)
 def test_a_mirrored_strike_has_a_mirrored_outcome(y, beta, speed, body):
     tap = make(body)
     here = tap.strike((0, 0, 0), (-0.1, y, beta), speed)
@@ -202,7 +202,6 @@ def test_the_cone_of_the_paper_is_reproduced():
 
 
 @given(round_bodies, st.floats(0.05, 1.0), st.floats(0.2, 5.0), st.floats(0.002, 0.5))
-@settings(deadline=None)
 def test_the_cones_edge_is_the_same_at_any_distance(body, friction, kappa, distance):
     tap = make(body, friction, kappa=kappa)
     edge = tap.cone_slope * distance

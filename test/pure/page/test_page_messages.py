@@ -9,7 +9,7 @@ from urllib.parse import parse_qs, urlsplit
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from tapping_cell.nodes.page.ghost import Ghost
@@ -78,13 +78,8 @@ def test_anything_other_than_a_request_is_refused_with_a_message(message: str | 
     assert len(str(refused.value)) > 15
 
 
-@given(
-    st.sampled_from(KINDS),
-    st.dictionaries(st.sampled_from(WORDS), JSON, max_size=7),
-)
-def test_a_request_with_any_content_is_read_or_refused_and_every_number_is_finite(
-    kind: str, content: dict[str, object]
-) -> None:
+@given(st.sampled_from(KINDS), st.dictionaries(st.sampled_from(WORDS), JSON, max_size=7))
+def test_a_request_with_any_content_is_read_or_refused_and_every_number_is_finite(kind, content):
     try:
         request = parse(json.dumps({**content, "do": kind}))
     except BadRequest:
@@ -300,10 +295,7 @@ def test_the_arrow_keys_follow_the_image_axes(turns: int, right: int) -> None:
     st.floats(-math.pi, math.pi),
     st.integers(0, 2**32 - 1),
 )
-@settings(max_examples=20, deadline=None)
-def test_the_ellipse_holds_95_of_100_results(
-    predicted: Pose, along: float, across: float, turn: float, seed: int
-) -> None:
+def test_the_ellipse_holds_95_of_100_results(predicted, along, across, turn, seed):
     """Compare the drawn ellipse with random samples of the result, each of which is projected into
     the camera's image."""
     made = ghost()

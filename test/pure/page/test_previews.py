@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 
-from tapping_cell.nodes.page.previews import Previews
+from tapping_cell.nodes.page.goal_preview import Previews
 
 
 def test_a_page_gets_its_newest_request_and_pages_take_turns() -> None:

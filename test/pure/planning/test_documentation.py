@@ -36,9 +36,3 @@ def test_every_documented_command_and_option_is_valid(page):
         parser = argparse.ArgumentParser()
         evaluate.add_arguments(parser)
         parser.parse_args(shlex.split(words))
-
-
-def test_every_option_is_explained():
-    parser = argparse.ArgumentParser()
-    evaluate.add_arguments(parser)
-    assert all(action.help for action in parser._actions)

@@ -52,9 +52,7 @@ def test_a_later_goal_is_answered_before_an_earlier_one_is_refined() -> None:
     assert first.solution.grid.along.step > 0.1
 
 
-def test_a_goal_that_is_requested_twice_does_not_end_the_solver(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_goal_that_is_requested_twice_does_not_end_the_solver(monkeypatch):
     """The goal is no longer cached, but its first request is not answered yet."""
     monkeypatch.setattr("tapping_cell.planning.fixed_solver.KEPT_SOLUTIONS", 1)
     space = assembly.make_fixed_space(CELL)

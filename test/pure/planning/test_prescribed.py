@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from tapping_cell.mechanics import Disk, Impact, Polygon, Sliding, Striker, Tap
@@ -65,7 +65,6 @@ poses = st.tuples(st.floats(-0.15, 0.15), st.floats(-0.1, 0.1), st.floats(-math.
     incidence=st.floats(-0.9, 0.9),
     wanted=st.none() | st.floats(-math.pi, math.pi),
 )
-@settings(max_examples=40, deadline=None)
 def test_the_strike_has_the_requested_speed_and_incidence(cell, pose, speed, incidence, wanted):
     space, _, _ = cell
     decision = session(cell, speed, incidence, wanted).decide(pose, in_view=WHOLE_TABLE)
@@ -90,7 +89,6 @@ def test_the_strike_has_the_requested_speed_and_incidence(cell, pose, speed, inc
     restitution=st.floats(0.8, 1.1),
     luck=st.floats(-2.0, 2.0),
 )
-@settings(max_examples=40, deadline=None)
 def test_the_object_stays_on_the_table_despite_model_errors(
     cell, pose, speed, incidence, friction, restitution, luck
 ):

@@ -28,9 +28,7 @@ def table(starts: list[tuple[float, float, float]]) -> dict[str, Pose]:
     st.floats(0.01, 0.05),
     st.floats(0.0, 0.06),
 )
-def test_objects_keep_the_gap_and_the_layout_is_centred(
-    preset: str, starts: list[tuple[float, float, float]], radius: float, gap: float
-) -> None:
+def test_objects_keep_the_gap_and_the_layout_is_centred(preset, starts, radius, gap):
     goals = preset_goals(preset, table(starts), radius, MIDDLE, gap)
     assert set(goals) == {f"o{number}" for number in range(len(starts))}
     nearest = min(a.distance_to(b) for a, b in itertools.combinations(goals.values(), 2))
@@ -43,9 +41,7 @@ def test_objects_keep_the_gap_and_the_layout_is_centred(
 
 
 @given(st.sampled_from(["line", "circle", "grid"]), st.lists(places, min_size=2, max_size=5))
-def test_no_other_assignment_has_shorter_paths(
-    preset: str, starts: list[tuple[float, float, float]]
-) -> None:
+def test_no_other_assignment_has_shorter_paths(preset, starts):
     poses = table(starts)
     goals = preset_goals(preset, poses, 0.03, MIDDLE)
     way = sum(poses[name].distance_to(goal) for name, goal in goals.items())

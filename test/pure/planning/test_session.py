@@ -62,7 +62,7 @@ def run(session, pose, rng, gain=(1.0, 1.0), most=60):
 def test_random_goals_with_biased_gains_end_at_the_goal(name, settings, space, free):
     planner = make_planner(name, settings)
     rng = np.random.default_rng(11)
-    for _ in range(12):
+    for _ in range(5):
         goal = rng.uniform([-0.24, -0.16, -3.1], [0.24, 0.16, 3.1])
         pose = rng.uniform([-0.24, -0.16, -3.1], [0.24, 0.16, 3.1])
         session = PositioningSession(goal, planner, space, free)
@@ -185,7 +185,7 @@ def test_misses_are_not_repeated_until_every_direction_was_tried(planner, space,
         session.observe(strike, (0, 0, 0), (0, 0, 0))
     between = wrap_angle(np.subtract.outer(headings, headings))[np.triu_indices(6, 1)]
     assert np.min(np.abs(between)) > math.radians(15.0)
-    for _ in range(30):
+    for _ in range(12):
         strike = session.decide((0.0, 0.0, 0.0))
         assert isinstance(strike, Strike)
         session.observe(strike, (0, 0, 0), (0, 0, 0))
@@ -236,7 +236,7 @@ def test_with_any_friction_the_object_stays_on_the_table_and_reaches_its_goal(
 ):
     rng = np.random.default_rng(int(100 * friction))
     table = space.workspace
-    for _ in range(12):
+    for _ in range(4):
         pose = np.append(rng.uniform((-0.2, -0.14), (0.2, 0.14)), rng.uniform(-3, 3))
         goal = np.append(rng.uniform((-0.2, -0.14), (0.2, 0.14)), rng.uniform(-3, 3))
         session = PositioningSession(goal, planner, space, free, probe=probe)
@@ -250,7 +250,7 @@ def test_with_any_friction_the_object_stays_on_the_table_and_reaches_its_goal(
         assert isinstance(decision, Done), decision
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("gain", [0.0, 0.02, 0.05, 0.2, 1.0])
 def test_an_object_that_taps_cannot_turn_is_refused_and_any_other_reaches_its_goal(
     planner, space, free, gain, seed
@@ -276,7 +276,7 @@ def test_an_object_that_taps_cannot_turn_is_detected_despite_an_off_centre_mass(
     planner, space, free
 ):
     taps = []
-    for seed in range(12):
+    for seed in range(6):
         rng = np.random.default_rng(seed)
         pose = np.array([-0.05, -0.02, 0.0])
         session = PositioningSession((0.05, 0.02, 0.3), planner, space, free)

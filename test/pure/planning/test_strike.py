@@ -1,9 +1,8 @@
 import math
-import time
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from tapping_cell.mechanics import Impact, Polygon, Sliding, Striker, Tap
@@ -37,7 +36,6 @@ def outline_gap(space, pose, tip):
     return min(gaps) - space.object_radius
 
 
-@settings(max_examples=60)
 @given(angles, angles, st.floats(0.002, 0.1), st.floats(-0.99, 0.99))
 def test_a_strike_from_its_standoff_gives_the_displacement(space, tap, turn, heading, size, share):
     pose = Pose(0.02, -0.03, turn)
@@ -190,22 +188,3 @@ def test_a_polygon_is_struck_on_its_real_edges():
 def test_impossible_strikers_are_refused(change):
     with pytest.raises(PlanningError):
         StrikeSettings(**change)
-
-
-def test_a_decision_with_limits_and_keep_outs_is_fast(tap):
-    """The target is 20 ms. The median may be up to 100 ms, because the machine may be busy."""
-    table = Workspace(keep_outs=(CircleArea(0.1, 0.05, 0.02), CircleArea(-0.1, -0.05, 0.02)))
-    space = StrikeSpace(tap, table)
-    free = FreeSpace(space)
-    planner = make_planner("exact", PlannerSettings.for_tap(tap))
-    rng = np.random.default_rng(0)
-    spent = []
-    while len(spent) < 30:
-        goal, start = rng.uniform(-0.15, 0.15, (2, 2))
-        if not (free.contains(goal) and free.contains(start)):
-            continue
-        session = PositioningSession((*goal, 1.0), planner, space, free)
-        began = time.perf_counter()
-        session.decide((*start, 0.0))
-        spent.append(time.perf_counter() - began)
-    assert float(np.median(spent)) < 0.1

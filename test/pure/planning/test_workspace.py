@@ -2,7 +2,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from tapping_cell.planning import CircleArea, PlanningError, PolygonArea, Workspace
@@ -30,7 +30,6 @@ def test_distance_to_a_non_convex_polygon(x, y):
         assert (found < 0) == in_l_shape(x, y)
 
 
-@settings(max_examples=25)
 @given(st.floats(-0.5, 0.5), st.floats(-0.5, 0.5))
 def test_a_circle_and_a_polygon_of_many_corners_agree(x, y):
     angles = np.linspace(0, 2 * math.pi, 720, endpoint=False)

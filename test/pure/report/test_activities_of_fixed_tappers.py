@@ -69,9 +69,7 @@ def test_a_tap_is_described_by_the_activities_of_tapper_and_object() -> None:
     ),
     st.floats(0.0, 5.0),
 )
-def test_activities_follow_each_other_without_gaps(
-    rows: list[tuple[float, int, int]], began: float
-) -> None:
+def test_activities_follow_each_other_without_gaps(rows, began):
     bag = Recorded(*(("tapper_state", at, tapper(state, told)) for at, state, told in rows))
     found = activities(bag, began, 10.0)  # type: ignore[arg-type]
     assert all(one.name != two.name for one, two in itertools.pairwise(found))

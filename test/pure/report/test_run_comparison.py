@@ -2,42 +2,24 @@
 
 from __future__ import annotations
 
-import math
 import shutil
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
+from report_parts import made_run
 
-from tapping_cell.report.run import Run
 from tapping_cell.report.run_comparison import comparison_page
 from tapping_cell.se2 import Pose
 
-RUN = Run(
-    name="",
-    goal=Pose(0.0, 0.0, 0.0),
-    start=None,
-    tolerance=(0.001, math.radians(1.0)),
-    taps=(),
-    final_measured=None,
-    final_true=None,
-    outcome="reached",
-    wall_time=0.0,
-    seed=None,
-    versions={},
-    error_code=0,
-    error_msg="",
-    outline=(),
-    table_size=(0.6, 0.4),
-)
+GOAL = Pose(0.0, 0.0, 0.0)
 # Name, duration in s, start. Sorted as text, 10.0 would come before 9.0.
-RUNS = [("run 2", 10.0, Pose(0.03, 0.0, 0.0)), ("run 10", 9.0, None), ("run 1", 100.0, RUN.goal)]
+RUNS = [("run 2", 10.0, Pose(0.03, 0.0, 0.0)), ("run 10", 9.0, None), ("run 1", 100.0, GOAL)]
 
 
 def page() -> str:
-    runs = [replace(RUN, name=name, wall_time=s, start=pose) for name, s, pose in RUNS]
+    runs = [made_run(name=name, goal=GOAL, wall_time=s, start=pose) for name, s, pose in RUNS]
     return comparison_page(runs, [f"{run.name}/index.html" for run in runs])
 
 
@@ -73,9 +55,7 @@ def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
         ("distance at the start", ["run 1", "run 2", "run 10"], ["run 2", "run 1", "run 10"]),
     ],
 )
-def test_clicking_a_heading_sorts_the_runs(
-    browser: Any, heading: str, ascending: list[str], descending: list[str]
-) -> None:
+def test_clicking_a_heading_sorts_the_runs(browser, heading, ascending, descending):
     head = browser.find_element("xpath", f"//th[button='{heading}']")
     for expected, direction in ((ascending, "ascending"), (descending, "descending")):
         head.find_element("tag name", "button").click()

@@ -10,11 +10,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from report_parts import made_run, tap_row
 
 from tapping_cell.report.animation import END_S, TAP_S, animation
-from tapping_cell.report.run import REACHED, Run, TapRow
+from tapping_cell.report.run import TapRow
 from tapping_cell.report.svg import Plan
 from tapping_cell.report.tap_words import tap_sentence
 from tapping_cell.se2 import Pose
@@ -24,23 +25,7 @@ SPREAD = ((4e-6, 0.0, 0.0), (0.0, 1e-6, 0.0), (0.0, 0.0, 4e-4))
 
 
 def tap(number: int = 1, **changed: Any) -> TapRow:
-    """Return a tap of 40 mm along x with a rotation of 0.2 rad; ``changed`` replaces fields."""
-    plain: dict[str, Any] = {
-        "number": number,
-        "tap_id": number,
-        "method": "optimal",
-        "before": Pose(0.0, 0.0, 0.0),
-        "commanded": Pose(0.04, 0.0, 0.2),
-        "predicted": Pose(0.04, 0.0, 0.2),
-        "measured": Pose(0.041, 0.0, 0.21),
-        "true_pose": None,
-        "strike": Pose(-0.08, 0.0, 0.0),
-        "striker_speed": 0.7,
-        "contact_angle": math.pi,
-        "outcome": "fired",
-        "predicted_covariance": SPREAD,
-    }
-    return TapRow(**{**plain, **changed})
+    return tap_row(number, **{"predicted_covariance": SPREAD, **changed})
 
 
 def test_a_tap_of_a_cell_with_several_tappers_names_its_tapper() -> None:
@@ -100,29 +85,12 @@ places = st.builds(Pose, st.floats(-0.2, 0.2), st.floats(-0.15, 0.15), angles)
 
 
 @given(st.lists(places, min_size=2, max_size=6))
-@settings(max_examples=40, deadline=None)
 def test_the_animation_shows_every_pose_and_the_shortest_rotation(poses: list[Pose]) -> None:
     taps = tuple(
         tap(index + 1, before=before, measured=after)
         for index, (before, after) in enumerate(pairwise(poses))
     )
-    run = Run(
-        name="made",
-        goal=poses[-1],
-        start=poses[0],
-        tolerance=(0.001, 0.02),
-        taps=taps,
-        final_measured=poses[-1],
-        final_true=None,
-        outcome=REACHED,
-        wall_time=10.0,
-        seed=None,
-        versions={},
-        error_code=0,
-        error_msg="",
-        outline=OUTLINE,
-        table_size=(0.6, 0.44),
-    )
+    run = made_run(taps, outline=OUTLINE)
     drawn = animation(run, Plan((-300.0, -220.0), (300.0, 220.0)))
     style, _, picture = drawn.partition("</style>")
     ElementTree.fromstring(picture)
@@ -143,21 +111,4 @@ def test_the_animation_shows_every_pose_and_the_shortest_rotation(poses: list[Po
 
 
 def test_a_run_without_a_tap_has_no_animation() -> None:
-    empty = Run(
-        name="made",
-        goal=None,
-        start=Pose(0.0, 0.0, 0.0),
-        tolerance=(0.001, 0.02),
-        taps=(),
-        final_measured=None,
-        final_true=None,
-        outcome=REACHED,
-        wall_time=0.0,
-        seed=None,
-        versions={},
-        error_code=0,
-        error_msg="",
-        outline=OUTLINE,
-        table_size=(0.6, 0.44),
-    )
-    assert animation(empty, Plan((-1.0, -1.0), (1.0, 1.0))) == ""
+    assert animation(made_run(outline=OUTLINE), Plan((-1.0, -1.0), (1.0, 1.0))) == ""

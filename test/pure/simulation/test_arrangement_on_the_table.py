@@ -8,10 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tapping_cell.configuration.assembly import (
-    make_planner_settings,
-    make_strike_space,
-)
+from tapping_cell.configuration.assembly import make_planner_settings, make_strike_space
 from tapping_cell.configuration.cell import load_cell
 from tapping_cell.planning import FreeSpace, make_planner
 from tapping_cell.planning.arrangement import (

@@ -4,11 +4,10 @@ laws."""
 from __future__ import annotations
 
 import math
-from typing import Literal
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from tapping_cell.mechanics import Body, Disk, Impact, Polygon, Ring, Striker
@@ -50,7 +49,6 @@ def collided(
     return motion, flight, time
 
 
-@settings(max_examples=60, deadline=None)
 @given(
     speed=st.floats(0.02, 2.0),
     incidence=st.floats(-1.2, 1.2),
@@ -61,14 +59,8 @@ def collided(
     ring=st.booleans(),
 )
 def test_a_free_striker_launches_a_round_body_as_in_the_closed_form(
-    speed: float,
-    incidence: float,
-    along: float,
-    restitution: float,
-    friction: float,
-    striker_mass: float,
-    ring: bool,
-) -> None:
+    speed, incidence, along, restitution, friction, striker_mass, ring
+):
     """If the coefficient B3 of the impact is 0, sliding does not affect the motion in the normal
     direction. All definitions of restitution then agree."""
     body = Ring(0.05, 0.1, 0.01) if ring else DISK
@@ -92,7 +84,6 @@ def test_a_free_striker_launches_a_round_body_as_in_the_closed_form(
     assert momentum == pytest.approx(striker_mass * speed * direction, abs=1e-9)
 
 
-@settings(max_examples=60, deadline=None)
 @given(
     incidence=st.floats(-0.9, 0.9),
     along=st.floats(-0.03, 0.03),
@@ -101,12 +92,8 @@ def test_a_free_striker_launches_a_round_body_as_in_the_closed_form(
     constraint=st.sampled_from(["free", "linear_bearings"]),
 )
 def test_an_off_centre_contact_matches_the_impact_with_energetic_restitution(
-    incidence: float,
-    along: float,
-    restitution: float,
-    friction: float,
-    constraint: Literal["free", "linear_bearings"],
-) -> None:
+    incidence, along, restitution, friction, constraint
+):
     """The reference integrates the same impact over small steps of the normal impulse (Stronge
     1990). It ends when the normal force has done e^2 times as much work in restitution as in
     compression."""
@@ -155,7 +142,6 @@ def energetic(
     return p_n, p_t
 
 
-@settings(max_examples=30, deadline=None)
 @given(
     incidence=st.floats(-1.2, 1.2),
     stiffness=st.floats(0.1, 1.5),
@@ -163,9 +149,7 @@ def energetic(
     friction=st.floats(0.0, 1.0),
     along=st.floats(-0.039, 0.039),
 )
-def test_a_contact_never_creates_energy(
-    incidence: float, stiffness: float, restitution: float, friction: float, along: float
-) -> None:
+def test_a_contact_never_creates_energy(incidence, stiffness, restitution, friction, along):
     striker = Striker(0.1, 0.0054, "free")
     law = ContactLaw(restitution, friction, 1e-4, stiffness)
     motion, flight, _ = collided(SQUARE, striker, law, along, incidence, 0.5)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -155,18 +156,24 @@ def test_pixel_coverage_of_a_polygon_equals_its_area():
         assert np.all((inside > polygon.min(axis=0)) & (inside < polygon.max(axis=0)))
 
 
-def test_rendering_a_frame_takes_a_small_part_of_33_ms(scene):
-    def least(frames: int, step: float) -> float:
-        """Return the shortest processor time of a frame, ms. Unlike the mean, it is hardly affected
-        by other programs."""
+def test_rendering_a_frame_takes_no_longer_than_drawing_its_noise(scene):
+    """Only the object's surroundings are rendered anew. The noise of a whole image, which takes
+    20 ms on the computer of the benchmarks, is the measure; the limit for a frame is 33 ms."""
+
+    def least(make: Callable[[int], object]) -> float:
+        """Return the shortest processor time of five calls, s. Unlike the mean, it is hardly
+        affected by other programs."""
         spent = []
-        for k in range(frames):
+        for k in range(5):
             begin = time.process_time()
-            scene.render(
-                HOME + np.array([k * step, 0.0, 0.0]), HOME + np.array([(k + 1) * step, 0.0, 0.0])
-            )
-            spent.append((time.process_time() - begin) * 1e3)
+            make(k)
+            spent.append(time.process_time() - begin)
         return min(spent)
 
-    assert least(5, 0.0) < 12.0
-    assert least(5, 0.001) < 25.0
+    def moving(k: int) -> np.ndarray:
+        step = np.array([0.001, 0.0, 0.0])
+        return scene.render(HOME + k * step, HOME + (k + 1) * step)
+
+    noise = least(lambda k: np.random.default_rng(k).normal(size=(CAMERA.height, CAMERA.width)))
+    assert least(lambda _: scene.render(HOME, HOME)) < 0.5 * noise
+    assert least(moving) < 1.5 * noise

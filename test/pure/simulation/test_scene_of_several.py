@@ -18,6 +18,8 @@ from tapping_cell.vision import PoseTracker, RoundRobin, TrackerSettings, marker
 
 CELL = load_cell()
 SQUARE = load_object(shared_folder() / "objects" / "aluminium_square.yaml")
+SEEN = [CELL.object.seen(), SQUARE.seen()]
+SETTINGS = TrackerSettings(other_ids=marker_ids(SEEN))
 POSES = np.array([[-0.1, 0.02, 0.3], [0.08, -0.05, 1.0]])
 
 
@@ -27,11 +29,17 @@ def scene(noise: float = 2.0) -> SceneRenderer:
     return make_renderer(CELL, truth, np.asarray(CELL.outline()), 1, [square])
 
 
-def test_every_object_is_found_where_it_lies() -> None:
-    renderer = scene()
-    seen = [CELL.object.seen(), SQUARE.seen()]
-    settings = TrackerSettings(other_ids=marker_ids(seen))
-    tracker = PoseTracker(CELL.camera, CELL.references, seen[0], settings, seen[1:])
+@pytest.fixture(scope="module")
+def renderer() -> SceneRenderer:
+    return scene()
+
+
+@pytest.fixture
+def tracker() -> PoseTracker:
+    return PoseTracker(CELL.camera, CELL.references, SEEN[0], SETTINGS, SEEN[1:])
+
+
+def test_every_object_is_found_where_it_lies(renderer, tracker) -> None:
     for frame in range(12):
         tracker.update_several(renderer.render(POSES), 1.0 + frame / 30, [0])
     first, others = tracker.update_several(renderer.render(POSES), 2.0, [0])
@@ -75,11 +83,7 @@ def test_objects_of_the_same_appearance_are_rendered_identically() -> None:
     assert one.mean() != pytest.approx(renderer.render(np.array([[-0.1, 0.0, 0.0]])).mean())
 
 
-def test_an_object_placed_by_hand_is_found_again() -> None:
-    renderer = scene()
-    seen = [CELL.object.seen(), SQUARE.seen()]
-    settings = TrackerSettings(other_ids=marker_ids(seen))
-    tracker = PoseTracker(CELL.camera, CELL.references, seen[0], settings, seen[1:])
+def test_an_object_placed_by_hand_is_found_again(renderer, tracker) -> None:
     for frame in range(6):
         tracker.update_several(renderer.render(POSES), 1.0 + frame / 30, [0])
     moved = POSES.copy()
@@ -93,15 +97,11 @@ def test_an_object_placed_by_hand_is_found_again() -> None:
     assert found and np.hypot(*(np.array(found[-1])[:2] - moved[1][:2])) < 5e-4
 
 
-def test_objects_keep_their_names_after_occlusion_and_swapped_places() -> None:
-    renderer = scene()
-    seen = [CELL.object.seen(), SQUARE.seen()]
-    settings = TrackerSettings(other_ids=marker_ids(seen))
-    tracker = PoseTracker(CELL.camera, CELL.references, seen[0], settings, seen[1:])
+def test_objects_keep_their_names_after_occlusion_and_swapped_places(renderer, tracker) -> None:
     clock = itertools.count()
 
-    def observe(poses: np.ndarray, frames: int) -> list[np.ndarray | None]:
-        for _ in range(frames):
+    def observe(poses: np.ndarray) -> list[np.ndarray | None]:
+        for _ in range(45):
             first, others = tracker.update_several(
                 renderer.render(poses), 1.0 + next(clock) / 30, [0]
             )
@@ -111,23 +111,19 @@ def test_objects_keep_their_names_after_occlusion_and_swapped_places() -> None:
     hidden[1] = [5.0, 5.0, 0.0]  # outside the image
     exchanged = POSES[::-1]
     for poses, missing in ((POSES, False), (hidden, True), (exchanged, False)):
-        own, other = observe(poses, 90)
+        own, other = observe(poses)
         assert own is not None and np.hypot(*(own - poses[0])[:2]) < 5e-4
         assert (other is None) == missing
         if other is not None:
             assert np.hypot(*(other - poses[1])[:2]) < 5e-4
 
 
-def test_observing_other_objects_does_not_affect_the_first_object() -> None:
-    seen = [CELL.object.seen(), SQUARE.seen()]
-    settings = TrackerSettings(other_ids=marker_ids(seen))
-    renderer = scene()
+def test_observing_other_objects_does_not_affect_the_first_object(renderer, tracker) -> None:
     pictures = [renderer.render(POSES) for _ in range(3)]
-    alone = PoseTracker(CELL.camera, CELL.references, seen[0], settings)
-    several = PoseTracker(CELL.camera, CELL.references, seen[0], settings, seen[1:])
+    alone = PoseTracker(CELL.camera, CELL.references, SEEN[0], SETTINGS)
     for number, picture in enumerate(pictures):
         one = alone.update(picture, number / 30)
-        first, _ = several.update_several(picture, number / 30, [0])
+        first, _ = tracker.update_several(picture, number / 30, [0])
         assert one.pose is not None and first.pose is not None
         assert np.hypot(*(np.array(one.pose)[:2] - np.array(first.pose)[:2])) < 1e-6
 
@@ -135,12 +131,8 @@ def test_observing_other_objects_does_not_affect_the_first_object() -> None:
 @pytest.mark.parametrize("rate", [3.0, 30.0])
 @pytest.mark.parametrize("turn", [1, 7])
 def test_an_object_at_rest_is_reported_at_rest_however_rarely_it_is_measured(
-    rate: float, turn: int
+    renderer, tracker, rate: float, turn: int
 ) -> None:
-    renderer = scene()
-    seen = [CELL.object.seen(), SQUARE.seen()]
-    settings = TrackerSettings(other_ids=marker_ids(seen))
-    tracker = PoseTracker(CELL.camera, CELL.references, seen[0], settings, seen[1:])
     turns = RoundRobin(turn)  # of these objects, only number 0 is on the table
     settled, since = [], set()
     for frame in range(round(12 + 4 * rate)):
@@ -153,11 +145,7 @@ def test_an_object_at_rest_is_reported_at_rest_however_rarely_it_is_measured(
     assert settled and all(settled) and len(since) == 1
 
 
-def test_every_frame_is_measured_while_a_longer_observation_is_requested() -> None:
-    renderer = scene()
-    seen = [CELL.object.seen(), SQUARE.seen()]
-    settings = TrackerSettings(other_ids=marker_ids(seen))
-    tracker = PoseTracker(CELL.camera, CELL.references, seen[0], settings, seen[1:])
+def test_every_frame_is_measured_while_a_longer_observation_is_requested(renderer, tracker) -> None:
     for frame in range(60):
         tracker.update_several(renderer.render(POSES), 1.0 + frame / 30, [0])
     first, others = tracker.update_several(renderer.render(POSES), 3.0, [0])

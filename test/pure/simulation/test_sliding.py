@@ -31,7 +31,6 @@ def slide_of(
     return Slide(centred, grip, friction, body.inertia / body.mass)
 
 
-@settings(max_examples=20, deadline=None)
 @given(
     speed=st.floats(0.05, 0.8),
     spin=st.floats(-10.0, 10.0),
@@ -39,9 +38,7 @@ def slide_of(
     torque_factor=st.floats(0.5, 4.0),
     body=st.sampled_from([DISK, Ring(radius=0.04, mass=0.2, height=0.01), SQUARE]),
 )
-def test_a_uniform_body_slides_as_in_the_closed_forms(
-    speed: float, spin: float, friction: float, torque_factor: float, body: Disk | Ring | Polygon
-) -> None:
+def test_a_uniform_body_slides_as_in_the_closed_forms(speed, spin, friction, torque_factor, body):
     law = replace(PLAIN, friction=friction, torque_factor=torque_factor)
     end, duration = slide_of(body, law).rest(Motion(0.0, 0.0, 0.0, speed, 0.0, spin))
     sliding = Sliding(body, friction=friction, torque_factor=torque_factor, gravity=GRAVITY)
@@ -52,11 +49,9 @@ def test_a_uniform_body_slides_as_in_the_closed_forms(
     assert duration == pytest.approx(float(sliding.rest(speed, spin).duration), rel=0.01, abs=2e-3)
 
 
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=settings.default.max_examples // 5)
 @given(vx=st.floats(0.05, 0.5), spin=st.floats(-8.0, 8.0), anisotropy=st.floats(0.5, 2.0))
-def test_the_time_steps_are_short_enough_for_all_friction_laws_combined(
-    vx: float, spin: float, anisotropy: float
-) -> None:
+def test_the_time_steps_are_short_enough_for_all_friction_laws_combined(vx, spin, anisotropy):
     """The reference integrates the same forces with another method and a small tolerance."""
     law = replace(
         PLAIN,
@@ -86,11 +81,9 @@ def test_the_time_steps_are_short_enough_for_all_friction_laws_combined(
     assert 0.048 * abs(end.theta - exact[2]) < 2e-3 * way + 5e-6
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=settings.default.max_examples // 5)
 @given(speed=st.floats(0.02, 1.0), heading=st.floats(-3.0, 3.0), friction=st.floats(0.1, 0.5))
-def test_without_spin_it_is_a_straight_slide_of_v_squared_over_two_mu_g(
-    speed: float, heading: float, friction: float
-) -> None:
+def test_without_spin_it_is_a_straight_slide_of_v_squared_over_two_mu_g(speed, heading, friction):
     launch = Motion(0.1, -0.2, 0.5, speed * math.cos(heading), speed * math.sin(heading))
     end, elapsed = slide_of(DISK, replace(PLAIN, friction=friction)).rest(launch)
     expected = speed**2 / (2 * friction * GRAVITY)
@@ -101,7 +94,7 @@ def test_without_spin_it_is_a_straight_slide_of_v_squared_over_two_mu_g(
     assert elapsed == pytest.approx(speed / (friction * GRAVITY), abs=1e-3)
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=settings.default.max_examples // 5)
 @given(vx=st.floats(-0.5, 0.5), vy=st.floats(-0.5, 0.5), spin=st.floats(-8.0, 8.0))
 def test_energy_never_increases(vx: float, vy: float, spin: float) -> None:
     body = Polygon(((0.04, 0.0), (0.0, 0.05), (-0.03, -0.02)), mass=0.3, height=0.01)
@@ -185,9 +178,7 @@ def test_three_support_points_carry_loads_given_by_the_centre_of_mass() -> None:
 
 @pytest.mark.parametrize("pressure", ["even", "rim", "three_points", "pads"])
 @pytest.mark.parametrize("body", [DISK, Ring(0.03, 0.1, 0.01), SQUARE])
-def test_the_pressure_is_centred_under_the_centre_of_mass(
-    body: Disk | Ring | Polygon, pressure: str
-) -> None:
+def test_the_pressure_is_centred_under_the_centre_of_mass(body, pressure):
     points, grip = sample_support(
         body, SupportTruth(pressure=pressure, mass_offset=(0.004, -0.003), edge_weight=0.5)
     )

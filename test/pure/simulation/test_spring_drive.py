@@ -28,9 +28,7 @@ def homed() -> SpringDrive:
     lost=st.one_of(st.floats(0.0, 0.02), moments),
     lasting=moments,
 )
-def test_steps_lost_in_a_withdrawn_charge_do_not_change_the_next_shot(
-    withdrawn: float, lost: float, lasting: float
-) -> None:
+def test_steps_lost_in_a_withdrawn_charge_do_not_change_the_next_shot(withdrawn, lost, lasting):
     drive = homed()
     drive.charge(12.5e-3, 1.0)
     events = [

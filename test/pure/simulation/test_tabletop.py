@@ -58,11 +58,8 @@ def rim(solid: Solid, motion: Motion) -> np.ndarray:
     return (corners[:, None, :] + circle).reshape(-1, 2)
 
 
-@settings(max_examples=60, deadline=None)
 @given(solids, solids, motions, motions)
-def test_the_gap_is_the_minimum_distance_of_the_outlines(
-    first: Solid, second: Solid, here: Motion, there: Motion
-) -> None:
+def test_the_gap_is_the_minimum_distance_of_the_outlines(first, second, here, there):
     gap = gap_between(first, second, here, there)
     back = gap_between(second, first, there, here)
     assert gap.distance == pytest.approx(back.distance, abs=1e-12)
@@ -81,11 +78,8 @@ def test_the_gap_is_the_minimum_distance_of_the_outlines(
         assert gap_between(first, second, apart, there).distance == pytest.approx(0.0, abs=1e-6)
 
 
-@settings(max_examples=100, deadline=None)
 @given(solids, solids, motions, motions)
-def test_an_impact_keeps_momentum_and_leaves_no_closing_speed(
-    first: Solid, second: Solid, here: Motion, there: Motion
-) -> None:
+def test_an_impact_keeps_momentum_and_leaves_no_closing_speed(first, second, here, there):
     gap = gap_between(first, second, here, there)
     met = impact(first, second, here, there, gap)
     if met is None:
@@ -186,7 +180,7 @@ def test_the_striker_hits_only_the_first_object_on_its_path() -> None:
     assert not top.strike(Pose(-0.25, 0.15, 0.0), 0.006, 0.2, 6.0)
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=settings.default.max_examples // 5)
 @given(st.integers(0, 1000))
 def test_objects_without_a_start_pose_are_placed_apart_on_the_table(seed: int) -> None:
     files = (CELL.object, *(named(SQUARE, f"square {n}") for n in range(1, 4)))

@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, reject, settings
+from hypothesis import given, reject
 from hypothesis import strategies as st
 
 from tapping_cell.configuration.files import shared_folder
@@ -35,7 +35,6 @@ def by_definition(camera: CameraModel, x: float, y: float) -> tuple[float, float
     place,
     st.sampled_from([0, 5, 8]),
 )
-@settings(max_examples=60, deadline=None)
 def test_projection_follows_its_definition_and_rays_invert_it(values, x, y, count):
     model = "rational_polynomial" if count == 8 else "plumb_bob"
     values = [v * (0.02 if i in (2, 3) else 1.0) for i, v in enumerate(values)]
@@ -91,7 +90,6 @@ def test_a_lens_that_folds_back_inside_the_image_is_refused():
     place,
     st.floats(0.0, 0.1),
 )
-@settings(max_examples=60, deadline=None)
 def test_a_ray_intersects_the_plane_at_the_original_point(position, spin, x, y, height):
     camera = CameraModel(1280, 1024, 1150.0, 1150.0, 639.5, 511.5, (-0.12, 0.08, 4e-4, -3e-4, 0.0))
     view = View(camera, CameraPose.above(position, spin=spin))

@@ -18,7 +18,7 @@ ROW = 0.05
 """Standard deviation of the edge position in one row of pixels, in pixels. Each side of a marker
 has 60 rows."""
 HEIGHT = 0.012
-TRIALS = 150
+TRIALS = 40
 
 
 def erroneous_camera(random: np.random.Generator, scale: float) -> CameraModel:
@@ -96,9 +96,10 @@ def test_the_normalised_error_follows_chi_square(lens, misprint):
         likely, covariance = tracker.judge(true + error, HEIGHT)
         error -= likely
         normalised.append(error @ np.linalg.solve(covariance, error))
-    # The mean of 150 chi-square values with 3 degrees of freedom has a standard deviation of 0.2.
-    assert 2.4 < np.mean(normalised) < 3.7
-    assert np.mean(np.array(normalised) < 7.815) > 0.90
+    # The bound is three standard deviations of the mean of chi-square values with 3 degrees of
+    # freedom. `python -m benchmarks --section vision-covariance` measures it with more trials.
+    assert abs(np.mean(normalised) - 3.0) < 3.0 * np.sqrt(6.0 / TRIALS)
+    assert np.mean(np.array(normalised) < 7.815) > 0.85
 
 
 def test_a_measured_map_may_be_scaled_and_rotated_as_a_whole():

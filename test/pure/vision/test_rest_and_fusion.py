@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from tapping_cell.se2 import wrap_angle
@@ -29,7 +29,6 @@ def measured(random: np.random.Generator, pose: np.ndarray) -> np.ndarray:
     st.floats(0.0, 1.0),
     st.floats(-3.1, 3.1),
 )
-@settings(max_examples=150, deadline=None)
 def test_rest_is_declared_within_150_ms(seed, speed, direction, phase, angle):
     """A slide with a deceleration of 0.17 g ends at time 0. The phase of the frames is random."""
     random = np.random.default_rng(seed)
@@ -89,18 +88,12 @@ def delay_of_rest(random: np.random.Generator, rate: float, lose: bool) -> float
 )
 def test_rest_within_150_ms_at_other_rates_frictions_and_with_a_frame_lost(rate, lose, share):
     random = np.random.default_rng(6)
-    delays = np.array([delay_of_rest(random, rate, lose) for _ in range(400)])
-    print(
-        f"{rate:.0f} Hz, {'a frame' if lose else 'none'} lost: median "
-        f"{np.median(delays) * 1e3:.0f} ms, p95 {np.quantile(delays, 0.95) * 1e3:.0f} ms, worst "
-        f"{delays.max() * 1e3:.0f} ms"
-    )
+    delays = np.array([delay_of_rest(random, rate, lose) for _ in range(100)])
     assert (delays <= 0.150).mean() >= share
     assert delays.max() <= 0.2
 
 
 @given(st.integers(0, 2**31), st.floats(0.0005, 0.02), st.floats(-np.pi, np.pi))
-@settings(max_examples=60, deadline=None)
 def test_a_creeping_object_is_never_reported_at_rest(seed, speed, direction):
     random = np.random.default_rng(seed)
     track = Track()

@@ -11,7 +11,6 @@ from tapping_cell.vision.markers.detection import Effort, find_markers, marker_p
 from tapping_cell.vision.markers.initial_corners import better_corners
 from tapping_cell.vision.markers.measurement import measure
 from tapping_cell.vision.markers.search import Detections
-from tapping_cell.vision.markers.small_markers import as_edges, fit_pattern
 from tapping_cell.vision.table.tracker import side_noise
 
 FINE = 12
@@ -47,12 +46,12 @@ def square(side: float, turn: float, middle: tuple[float, float] = (78.3, 61.7))
 
 
 @pytest.mark.parametrize("name", ["APRILTAG_36h11", "4X4_50", "ARUCO_ORIGINAL", "APRILTAG_16h5"])
-def test_markers_with_1_5_pixels_per_module_reach_their_stated_accuracy(name):
+def test_markers_with_3_pixels_per_module_reach_their_stated_accuracy(name):
     normalised, errors = [], []
-    for seed in range(12):
+    for seed in range(6):
         random = np.random.default_rng(seed)
         pattern = marker_pattern(name, seed)
-        side = random.uniform(1.5, 2.2) * pattern.shape[0]
+        side = random.uniform(3.0, 4.0) * pattern.shape[0]
         corners = square(side, random.uniform(0.0, 2.0 * np.pi))
         image = picture(pattern, corners, seed=seed)
         edges, right = measure(
@@ -89,42 +88,6 @@ def test_modules_of_less_than_two_pixels_are_found_in_the_enlarged_image():
     assert found[Effort.ENLARGED] > found[Effort.THOROUGH]
 
 
-def test_another_pattern_or_half_of_it_is_not_accepted():
-    pattern = marker_pattern("APRILTAG_36h11", 5)
-    corners = square(15.0, 0.3)
-    image = picture(pattern, corners)
-    assert fit_pattern(image, corners, pattern) is not None
-    for other in (6, 7, 8, 9):
-        assert fit_pattern(image, corners, marker_pattern("APRILTAG_36h11", other)) is None
-    # A pattern rotated by 90 degrees is another pattern.
-    assert fit_pattern(image, np.roll(corners, 1, axis=0), pattern) is None
-    covered = image.copy()
-    covered[:, 82:] = 110
-    assert fit_pattern(covered, corners, pattern) is None
-    # Cover the pattern's white margin along one side with a dark strip.
-    covered = picture(pattern, corners, noise=0.0)
-    outside = [np.rint(corners[1] + t * (corners[1] - corners[0]) / 8) for t in (0.1, 1.2)]
-    along = corners[2] - corners[1]
-    band = np.array([outside[0], outside[1], outside[1] + along, outside[0] + along])
-    cv2.fillConvexPoly(covered, band.astype(np.int32), [45])
-    assert fit_pattern(covered, corners, pattern) is None
-    assert fit_pattern(np.full_like(image, 128), corners, pattern) is None
-    # Invalid quadrilaterals that a search or a wrong prediction may return.
-    for quad in (np.full((4, 2), np.nan), corners[[0, 1, 1, 0]], corners + 70.0, corners[::-1]):
-        assert fit_pattern(image, quad, pattern) is None
-
-
-def test_no_pattern_is_accepted_because_it_fits_when_blurred():
-    """With much blur and an uncertain place, many patterns fit. A fit that requires such blur must
-    be refused."""
-    corners = square(24.0, 0.2)
-    image = picture(marker_pattern("ARUCO_ORIGINAL", 6), corners, blur=0.9)
-    assert fit_pattern(image, corners, marker_pattern("ARUCO_ORIGINAL", 6)) is not None
-    for name, number in (("APRILTAG_36h10", 25), ("4X4_50", 25)):
-        for marker in range(number):
-            assert fit_pattern(image, corners, marker_pattern(name, marker)) is None
-
-
 def test_a_corner_that_the_search_found_elsewhere():
     """One corner of a searched quadrilateral is wrong by four pixels, as if glare had interrupted
     the outline. This corner must be corrected."""
@@ -144,24 +107,13 @@ def test_a_corner_that_the_search_found_elsewhere():
 
 
 def test_an_oblique_marker():
-    """The modules are five pixels long and one and a half pixels wide."""
+    """The modules are ten pixels long and four pixels wide."""
     pattern = marker_pattern("4X4_50", 3)
-    corners = np.array([[50.2, 50.4], [108.7, 48.1], [117.3, 64.2], [43.6, 66.9]])
+    corners = np.array([[50.2, 45.4], [108.7, 43.1], [117.3, 69.2], [43.6, 71.9]])
     image = picture(pattern, corners)
     edges, right = measure(image, (corners + 0.4)[None], [pattern], True)
     assert right.all()
     assert np.abs(edges.corners[0] - corners).max() < 0.15
-
-
-def test_sides_of_a_fitted_pattern_claim_no_more_accuracy_than_the_fit():
-    pattern = marker_pattern("APRILTAG_36h11", 5)
-    corners = square(14.0, 1.0)
-    fit = fit_pattern(picture(pattern, corners), corners, pattern)
-    assert fit is not None
-    edges = as_edges(fit)
-    noise = float(side_noise(edges, 1.0)[0])
-    place = fit.covariance.reshape(4, 2, 4, 2).mean(axis=(0, 2))
-    assert 0.5 * noise**2 >= 0.999 * float(np.linalg.eigvalsh(place).max())
 
 
 def test_searches_of_one_image_are_combined():

@@ -1,0 +1,1 @@
+"""Trials of the drivers with emulated controllers and boards."""

@@ -1,0 +1,1 @@
+"""Oracles: what must never happen in any run."""

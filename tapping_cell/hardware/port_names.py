@@ -1,0 +1,42 @@
+"""Names of serial ports: what is wrong with one, and whether two name the same device."""
+
+from __future__ import annotations
+
+import os
+import re
+from pathlib import Path
+
+BY_ID = Path("/dev/serial/by-id")
+"""Folder with a permanent link for each USB serial device that is plugged in."""
+
+
+def device_of(port: str) -> str:
+    """Return the device that a port names, after following links."""
+    return os.path.realpath(Path(port).expanduser())
+
+
+def is_windows_name(port: str) -> bool:
+    """Return whether a port has a name of Windows, such as COM3."""
+    return re.fullmatch(r"(\\\\\.\\)?COM\d+:?", port, re.IGNORECASE) is not None
+
+
+def port_problem(port: str, links: Path = BY_ID) -> str:
+    """Return why a port cannot be opened and what to do, as an end of a sentence; empty if it
+    exists."""
+    present = sorted(str(link) for link in links.iterdir()) if links.is_dir() else []
+    choice = f"connected are {', '.join(present)}" if present else f"{links} lists no device"
+    if is_windows_name(port):
+        return (
+            f"is a name of Windows; give the device's name on Linux, such as {links}/... ({choice})"
+        )
+    if Path(port).expanduser().exists():
+        return ""
+    if Path(port).parent == links:
+        return (
+            f"is not connected: plug the device in and switch it on; if its adapter was "
+            f"replaced, give the name of the new one ({choice})"
+        )
+    return (
+        "does not exist (yet): a simulated port is created by sim_world; a real device must be "
+        f"plugged in ({choice})"
+    )
