@@ -72,12 +72,16 @@ class Source:
         numbers: Counter[str] = Counter()
         for title, place in self._places():
             for parent, field, index, node, lines in _walk(place, place):
-                whole = field == "test" and isinstance(node, ast.Compare)
+                is_forced = (
+                    field == "test"
+                    and isinstance(node, ast.Compare)
+                    and isinstance(node.ops[0], EQUALITIES)
+                )
                 for operator, new in replacements(node, self.module):
                     if operator == "drop" and title.endswith("__init__"):
                         continue  # the next use of the attribute fails
-                    if whole and isinstance(node.ops[0], EQUALITIES):
-                        break  # the condition is forced both ways
+                    if is_forced:
+                        break  # the whole condition, which is forced both ways
                     base = f"{self.name}:{title}:{lines.start - place.lineno}:{operator}"
                     name = f"{base}:{numbers[base]}"
                     numbers[base] += 1
