@@ -35,7 +35,6 @@ UNUSED = (
     "pytest-repeat",
     "pytest-rerunfailures",
     "docutils",  # catkin-pkg parses changelogs with it
-    "zstandard",  # mcap decompresses bags of others with it
 )
 
 
