@@ -121,7 +121,8 @@ def test_inconsistent_files_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError, match="the name 'aluminium disk'"):
         load_further_objects(cell, str(shared_folder() / "objects" / "aluminium_disk.yaml"))
     tall = tmp_path / "tall.yaml"
-    tall.write_text(OTHER.read_text().replace("height: 0.012", "height: 0.300"))
+    text = OTHER.read_text().replace("height: 0.012", "height: 0.300")
+    tall.write_text(text.replace("mass: 0.2455", "mass: 2.455"))
     with pytest.raises(ConfigurationError, match=r"300\.0 mm high, but the tip travels"):
         load_further_objects(cell, f" {tall} ,")
     renamed = tmp_path / "renamed.yaml"
