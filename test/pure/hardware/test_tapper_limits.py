@@ -3,6 +3,8 @@ impossible."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
 from typing import cast
 
 import pytest
@@ -53,6 +55,28 @@ def test_unknown_is_reported_only_when_a_release_is_impossible_even_during_a_sto
     result = driver.fire(1, 0.1, lambda release_by: True)
     assert driver.stopped and result.outcome is FireOutcome.UNKNOWN
     assert clock.now >= driver.release_impossible_after
+
+
+class Restarted(TapperDriver):
+    """A board that restarts after FIRE and reports the number of the shot, of an earlier life."""
+
+    def __init__(self, boot: int) -> None:
+        super().__init__(cast(Transport, Time()))
+        self._boot, self._later = 1, boot
+
+    def _request(self, command: Command, *arguments: int | Mode) -> Reply:
+        return Reply(
+            1, 1, Result.OK, State.CHARGED, 5, 0.01, True, False, 0, None, 1, 0, Mode.RUN, False
+        )
+
+    def _send_fire(self, shot: int, deadline: int, again: Callable[[], bool]) -> Reply:
+        return replace(self._request(Command.FIRE), last_fired=shot, boot=self._later)
+
+
+@pytest.mark.parametrize("boot", [1, 2])
+def test_a_board_that_restarted_during_a_shot_does_not_tell_its_outcome(boot: int) -> None:
+    result = Restarted(boot).fire(5, 0.04, lambda release_by: True)
+    assert result.outcome is (FireOutcome.FIRED if boot == 1 else FireOutcome.UNKNOWN)
 
 
 class LossyLine(VirtualTransport):
@@ -132,6 +156,9 @@ class Time:
 
     def now(self) -> float:
         return self.passed
+
+    def sleep(self, duration: float) -> None:
+        self.passed += duration
 
 
 class Flickering(TapperDriver):

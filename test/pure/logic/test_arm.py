@@ -18,12 +18,12 @@ from test_permit import CELL, TAP, Pair, at, jobs, messages
 from tapping_cell.hardware.arm_settings import ArmReading
 from tapping_cell.hardware.faults import FaultReason, HardwareFault
 from tapping_cell.hardware.motion import Waypoint
-from tapping_cell.hardware.scara import Joints
+from tapping_cell.hardware.scara import Joints, TipPose
 from tapping_cell.logic import arm as arms
-from tapping_cell.logic import permit
+from tapping_cell.logic import arm_jobs, permit
 from tapping_cell.logic import tapper as tappers
 from tapping_cell.logic.arm_jobs import MotionEnd, Reading
-from tapping_cell.logic.clock import Now
+from tapping_cell.logic.clock import Now, to_stamp
 from tapping_cell.logic.effects import (
     AbandonJob,
     Answer,
@@ -120,6 +120,82 @@ def test_an_arm_that_may_have_moved_promises_nothing_and_a_second_such_reading_i
     for later in (1.2, 1.3):
         read(pair, off, START + later, **changed)
     assert pair.arm.error[0] == ErrorCode.ARM_POSITION_MISMATCH
+
+
+def test_a_withdrawal_while_the_arm_is_being_placed_abandons_the_motion() -> None:
+    pair = Pair()
+    here = Reading(True, PARK, False, START)
+    pair.arm.on_lifecycle(Configured(CELL, here), at(START - 10.0))
+    pair.arm.on_lifecycle(Activated(), at(START - 10.0))
+    tap = pair.command(TapCommand.TAP, at(START))
+    (place,) = jobs(pair.arm.on_message("tap_command", tap, at(START)))
+    withdraw = pair.command(TapCommand.WITHDRAW, at(START))
+    assert AbandonJob(place) in pair.arm.on_message("tap_command", withdraw, at(START + 0.1))
+
+
+@pytest.mark.parametrize("expired", [True, False])
+def test_the_job_that_places_the_arm_settles_there_and_ends_at_the_expiry(expired: bool) -> None:
+    moved: list[Joints] = []
+    settled: list[Joints | None] = []
+    tip = CELL.arm.geometry().forward(PARK._replace(shoulder=PARK.shoulder + 0.3))
+    goal = TipPose(tip.x, tip.y, CELL.arm.strike_height, tip.yaw)
+
+    def still(joints: Joints) -> ArmReading:
+        return ArmReading(joints, False, "", True, START)
+
+    def move(joints: Joints, speed: float, **_: object) -> ArmReading:
+        moved.append(joints)
+        return still(joints)
+
+    def settle(joints: Joints | None) -> ArmReading:
+        settled.append(joints)
+        return still(joints or PARK)
+
+    driver = SimpleNamespace(
+        homed=True,
+        geometry=CELL.arm.geometry(),
+        read_joints=lambda: PARK,
+        read=lambda: still(moved[-1]),
+        move_to=move,
+        settle=settle,
+    )
+    context: Any = SimpleNamespace(
+        driver=driver,
+        now=lambda: at(START + len(moved)),
+        sleep=None,
+        abandoned=lambda: False,
+        post=lambda reading: None,
+    )
+    expiry = at(START + (0.5 if expired else 100.0)).ros
+    end = arm_jobs.place(context, goal, CELL.arm.motion(), expiry, START)
+    assert end.complete is not expired
+    assert len(moved) == 1 if expired else len(moved) > 1
+    assert settled == ([] if expired else [moved[-1]])
+
+
+def test_the_arms_state_is_as_old_as_its_reading() -> None:
+    pair = in_position()
+    read(pair, PARK, START + 1.0)
+    for later in (1.02, 1.04):
+        (state,) = messages(pair.arm.on_tick(at(START + later)), "arm_state")
+        assert state.header.stamp == to_stamp(at(START + 1.0).ros)
+
+
+def test_the_time_of_the_last_stop_is_published() -> None:
+    arm = in_position().arm
+    for later in (1.0, 2.0):
+        made = arm.on_request("~/stop", Trigger.Request(), 1, at(START + later))
+        made = [*made, *arm.on_tick(at(START + later + 0.1))]
+        state = messages(made, "arm_state")[-1]
+        assert state.last_stop == to_stamp(at(START + 1.0).ros)
+
+
+def test_a_request_that_its_handler_has_answered_is_answered_once() -> None:
+    arm = in_position().arm
+    arm._answer(7, True, "for this test")
+    lost = UnansweredRequest("~/home", Trigger.Request(), 7)
+    made = arm.on_defect(RuntimeError("for this test"), at(START + 1.0), lost)
+    assert [effect.response.success for effect in made if isinstance(effect, Answer)] == [True]
 
 
 def test_a_fault_during_a_move_after_a_withdrawal_can_be_cleared() -> None:

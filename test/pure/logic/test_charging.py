@@ -15,7 +15,7 @@ from tapping_cell.logic.effects import Call, Effect, JobEnded, RunJob
 from tapping_cell.logic.host import Activated, Configured
 from tapping_cell.logic.poses import to_message
 from tapping_cell.logic.tapper_jobs import ChargeEnd, Status
-from tapping_cell.messages import ArmState, TapCommand
+from tapping_cell.messages import ArmState, ErrorCode, TapCommand
 from tapping_cell.se2 import Pose
 
 
@@ -40,6 +40,20 @@ def arm(
     message = ArmState(state=state, tap_id=tap_id, homed=homed, tip_pose=to_message(tip, height))
     message.header.stamp = to_stamp(at(steady).ros)
     return message
+
+
+@pytest.mark.parametrize("request_", [TapCommand.TAP, TapCommand.CLEAR_VIEW])
+@pytest.mark.parametrize("active", [True, False])
+def test_only_an_active_tapper_serves_taps_and_no_other_request(request_, active):
+    tapper = tappers.TapperLogic(tappers.TapperOptions())
+    tapper.on_lifecycle(Configured(CELL, board(BoardState.SAFE)), at(START))
+    if active:
+        tapper.on_lifecycle(Activated(), at(START))
+    tapper.on_message("tap_command", Pair().command(request_, at(START)), at(START))
+    is_tap = request_ == TapCommand.TAP
+    assert (tapper.state is tappers.State.WAITING) == (is_tap and active)
+    refused = ErrorCode.NOT_ACTIVE if is_tap and not active else ErrorCode.NONE
+    assert tapper.error[0] == refused
 
 
 def charged_while_lowered() -> tuple[tappers.TapperLogic, list[Effect]]:

@@ -246,6 +246,38 @@ def test_a_tapper_that_needs_a_camera_waits_for_its_first_image(needed: bool) ->
     assert peers.check_firing(7, here, here, at(1.0)) is None
 
 
+@pytest.mark.parametrize(
+    "code",
+    [
+        ErrorCode.CAMERA_SILENT,
+        ErrorCode.CAMERA_NOT_CALIBRATED,
+        ErrorCode.IMAGE_INVALID,
+        ErrorCode.STAMP_INVALID,
+    ],
+)
+def test_an_image_that_cannot_be_measured_is_no_message_of_the_camera(code: int) -> None:
+    peers, here = watching(""), Pose(0.0, 0.0, 0.0)
+    for taken in (1.2, 1.5):
+        arm = ArmState(state=ArmState.IN_POSITION, tap_id=7)
+        stamp_of(arm, taken, 0.0)
+        peers.on_arm_state(arm, at(taken))
+        peers.on_object_state(replace(seen(taken, 0.0), error_code=code), at(taken))
+    reason = peers.check_firing(7, here, here, at(1.5))
+    assert reason is not None and reason[0] == ErrorCode.CAMERA_SILENT
+
+
+def test_the_planners_last_tap_does_not_count_for_the_next_one() -> None:
+    """Another program commands the next tap while the planner is idle."""
+    peers = TapperPeers(PeerLimits())
+    for state in (PlanState.FIRING, PlanState.IDLE):
+        peers.begin_tap("", 0.0)
+        peers.on_plan_state(PlanState(state=state), at(1.0))
+        assert peers.given_up() is None
+    peers.on_plan_state(PlanState(state=PlanState.PLACING), at(1.1))
+    peers.on_plan_state(PlanState(state=PlanState.IDLE), at(1.2))
+    assert peers.given_up() is not None
+
+
 @given(st.sampled_from(["arm", "camera"]), st.floats(0.65, 3600.0))
 def test_a_tapper_names_the_computer_whose_clock_is_off(who: str, ahead: float) -> None:
     peers = TapperPeers(PeerLimits())

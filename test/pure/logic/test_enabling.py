@@ -19,7 +19,7 @@ from tapping_cell.logic import enabling
 from tapping_cell.logic import tapper as tappers
 from tapping_cell.logic.arm_jobs import Reading
 from tapping_cell.logic.clock import to_stamp
-from tapping_cell.logic.effects import Answer, JobEnded, StopWire
+from tapping_cell.logic.effects import Answer, JobEnded, RunJob, StopWire
 from tapping_cell.logic.enabling import HEARTBEAT_S, EnablingDevice
 from tapping_cell.logic.host import Activated, Configured, Unreachable
 from tapping_cell.logic.tapper_jobs import Status
@@ -62,8 +62,8 @@ def test_a_device_counts_as_held_only_within_the_heartbeat_timeout(received):
         now += pause
         (device.on_key if is_key else device.on_switch)(held, at(now))
         last[is_key] = now if held else -1.0
-        for later in (0.0, HEARTBEAT_S / 2, HEARTBEAT_S * 1.01):
-            wanted = now + later - max(last.values()) <= HEARTBEAT_S
+        for later in (0.0, 0.17, 0.354):
+            wanted = now + later - max(last.values()) <= 0.35  # docs/safety.md
             assert device.held(at(now + later)) == wanted
 
 
@@ -101,6 +101,32 @@ def test_no_motion_starts_while_no_device_is_held(what: str) -> None:
     assert not jobs(made) and arm.state is arms.State.IDLE
     if what != "home":
         assert arm.error[0] == ErrorCode.ENABLING_RELEASED
+
+
+@pytest.mark.parametrize("set_up", [True, False])
+def test_the_arm_moves_slowly_and_homes_only_on_request_in_set_up_mode(set_up: bool) -> None:
+    arm = arms.ArmLogic(arms.ArmOptions(set_up=set_up, home_on_activate=True))
+    now = at(START)
+    arm.on_lifecycle(Configured(CELL, Reading(True, PARKED, False, START)), now)
+    assert bool(jobs(arm.on_lifecycle(Activated(), now))) is not set_up
+    factor = arms.SET_UP_SPEED if set_up else 1.0
+    assert (arms.SET_UP_SPEED < 0.5) and arm._motion() == replace(
+        CELL.arm.motion(),
+        travel_speed=factor * CELL.arm.motion().travel_speed,
+        near_speed=factor * CELL.arm.motion().near_speed,
+    )
+
+
+def test_a_trajectory_is_followed_slowly_in_set_up_mode() -> None:
+    from tapping_cell.messages import Duration, JointTrajectory, JointTrajectoryPoint
+
+    arm = idle_arm()
+    arm.on_message(enabling.TOPIC, HELD, at(START))
+    point = JointTrajectoryPoint(positions=list(PARKED), time_from_start=Duration(sec=1))
+    message = JointTrajectory(joint_names=list(Joints._fields), points=[point])
+    made = arm.on_message("joint_trajectory", message, at(START + 0.01))
+    (follow,) = [effect.job.run for effect in made if isinstance(effect, RunJob)]
+    assert follow.keywords["targets"] and follow.keywords["scale"] == arms.SET_UP_SPEED
 
 
 @pytest.mark.parametrize("end", ["let go", "silence", "another node"])

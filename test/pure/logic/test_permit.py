@@ -268,6 +268,70 @@ def test_the_arm_promises_only_on_a_fresh_reading_and_before_the_tap_expires(lat
     assert answer.response.granted == (late <= arms.FRESH_READING_S)
 
 
+@pytest.mark.parametrize(
+    ("outcome", "published", "after"),
+    [
+        (
+            FireOutcome.FIRED,
+            TapperState.FIRED,
+            permit.RELEASED_S + permit.flight(STROKE, SPEED),
+        ),
+        (FireOutcome.NOT_FIRED, TapperState.NOT_FIRED, 0.0),
+        (FireOutcome.UNKNOWN, TapperState.UNKNOWN, None),
+    ],
+)
+def test_the_tapper_releases_the_arm_only_when_the_strike_has_ended(outcome, published, after):
+    pair = Pair()
+    call = pair.begin()
+    made = pair.arm.on_request("hold_still", call.request, 1, at(START))
+    (answer,) = [effect for effect in made if isinstance(effect, Answer)]
+    (fire,) = jobs(pair.tapper.on_answer(call.token, answer.response, at(START + 0.001)))
+    status = Status(board(BoardState.SAFE, TAP), 0)
+    end = JobEnded(fire, FireEnd(TAP, outcome, "", None, None, status, None))
+    made = pair.tapper.on_job(end, at(START + 0.05))
+    assert messages(made, "tapper_state")[-1].outcome == published
+    calls = [effect.request for effect in made if isinstance(effect, Call)]
+    assert [(each.duration, each.key) for each in calls] == (
+        [] if after is None else [(after, call.request.key)]
+    )
+
+
+def test_the_tapper_requests_a_promise_five_times_at_most() -> None:
+    pair = Pair()
+    call = pair.begin()
+    for attempt in range(1, 6):
+        made = pair.tapper.on_answer(call.token, None, at(START + 0.2 * attempt))
+        calls = [effect for effect in made if isinstance(effect, Call)]
+        assert len(calls) == (attempt < 5)
+        call = calls[0] if calls else call
+    assert [effect.job.name for effect in made if isinstance(effect, RunJob)] == ["discharge"]
+
+
+def test_the_arm_promises_nothing_after_the_outcome_of_the_tap() -> None:
+    pair = Pair()
+    call = pair.begin()
+    outcome = TapperState(state=TapperState.SAFE, tap_id=TAP, outcome=TapperState.FIRED)
+    pair.arm.on_message("tapper_state", outcome, at(START + 0.1))
+    made = pair.arm.on_request("hold_still", call.request, 1, at(START + 0.2))
+    (answer,) = [effect for effect in made if isinstance(effect, Answer)]
+    assert not answer.response.granted
+    assert answer.response.error_code == ErrorCode.COMMAND_REPEATED
+
+
+def test_the_tapper_does_not_end_a_promise_made_to_another_client() -> None:
+    """The tapper requests again after the other client, then releases the arm."""
+    pair = Pair()
+    call = pair.begin()
+    pair.tell_key(START)
+    full = permit.hold(permit.flight(STROKE, SPEED))
+    other = HoldStill.Request(tap_id=TAP, duration=full, key=1)
+    release = replace(call.request, duration=0.0)
+    for later, request in ((0.0, call.request), (0.01, other), (0.02, call.request)):
+        pair.arm.on_request("hold_still", request, 1, at(START + later))
+    pair.arm.on_request("hold_still", release, 1, at(START + 0.03))
+    assert not_before(pair, START + 0.03) >= START + 0.01 + full
+
+
 @pytest.mark.parametrize("late", [-0.05, 0.05])
 def test_the_arm_promises_nothing_for_a_tap_that_has_just_expired(late: float) -> None:
     """The arm has not withdrawn yet, and its reading is fresh. The tap expires 20 s after START."""

@@ -53,6 +53,24 @@ def test_an_outcome_that_the_board_does_not_confirm_is_unknown(reported, last_fi
     assert agrees or reported is FireOutcome.UNKNOWN or "contradict" in end.sentence
 
 
+@given(st.booleans(), st.booleans())
+def test_a_shot_is_fired_only_if_its_last_check_allows_it_and_its_job_goes_on(refused, abandoned):
+    asked: list[bool] = []
+    now = at(START)
+    refusal = (ErrorCode.ARM_SILENT, "for this test")
+    line = Line(FireOutcome.NOT_FIRED, 0)
+    line.fire = lambda shot, window, allowed: (  # type: ignore[method-assign]
+        asked.append(allowed(START + 0.1)) or FireResult(FireOutcome.NOT_FIRED, shot)
+    )
+    context = SimpleNamespace(
+        driver=line, ask=lambda query: query(now), abandoned=lambda: abandoned
+    )
+    check = lambda release_by, _: refusal if refused else None  # noqa: E731
+    end = tapper_jobs.fire(cast(JobContext, context), SHOT, check, post_replies=False)
+    assert asked == [not (refused or abandoned)]
+    assert end.refusal == (refusal if refused else None)
+
+
 def charged() -> tuple[TapperLogic, Callable[[], list[Effect]]]:
     """Return a tapper that waits for the arm's answer to ``hold_still``, and a function that lets
     the tapper receive this answer."""
