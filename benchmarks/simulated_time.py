@@ -1,6 +1,6 @@
 """Campaign of the whole cell in simulated time, with faults: outcomes, violations, processor time.
 
-The runs are those of ``python -m tapping_cell faults --goals N --seed SEED``.
+The runs are those of ``python -m lab faults --goals N --seed SEED``.
 """
 
 from __future__ import annotations

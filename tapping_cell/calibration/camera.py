@@ -334,8 +334,9 @@ class _Fitter:
             points, turn, shift = self._placed(view, fit)
             seen, jacobian = cv2.projectPoints(points, turn, shift, fit.matrix, fit.coefficients)
             left = (view.pixels - seen.reshape(-1, 2)).ravel()
-            pose, _ = np.linalg.qr(jacobian[:, :6])
-            own = jacobian[:, 6 : 6 + free]
+            derivatives: Array = np.asarray(jacobian, dtype=float)
+            pose, _ = np.linalg.qr(derivatives[:, :6])
+            own = derivatives[:, 6 : 6 + free]
             own = own - pose @ (pose.T @ own)
             normal += own.T @ own
             scores.append(own.T @ left)
@@ -400,7 +401,7 @@ class _Fitter:
         if not good:
             return points, np.full(3, np.nan), np.full(3, np.nan)
         turn, shift = cv2.solvePnPRefineLM(points, view.pixels, *camera, turn, shift)
-        return points, turn, shift
+        return points, np.asarray(turn, dtype=float), np.asarray(shift, dtype=float)
 
     def errors(self, views: Sequence[TargetView], fit: _Fit) -> Array:
         """Compute the root mean square corner error (V,) of each view."""
@@ -437,8 +438,9 @@ def _projection(fit: _Fit, covariance: Array) -> Array:
     points = np.column_stack([rays, np.ones(len(rays))])
     zero = np.zeros(3)
     _, jacobian = cv2.projectPoints(points, zero, zero, fit.matrix, fit.coefficients)
-    turns, _ = np.linalg.qr(jacobian[:, :3])
-    own = jacobian[:, 6 : 6 + len(covariance)]
+    derivatives: Array = np.asarray(jacobian, dtype=float)
+    turns, _ = np.linalg.qr(derivatives[:, :3])
+    own = derivatives[:, 6 : 6 + len(covariance)]
     own = own - turns @ (turns.T @ own)
     variance = np.einsum("ni,ij,nj->n", own, covariance, own)
     # Rounding may make the variance of an undetermined lens negative.
