@@ -35,7 +35,7 @@ from tapping_cell.logic.effects import (
     Publish,
     RunJob,
 )
-from tapping_cell.logic.host import Activated, Configured, ShutDown
+from tapping_cell.logic.host import Activated, Configured, Deactivated, ShutDown
 from tapping_cell.logic.poses import to_message
 from tapping_cell.logic.tapper_jobs import WINDOW_S, ChargeEnd, FireEnd, Status
 from tapping_cell.messages import ArmState, ErrorCode, HoldStill, TapCommand, TapperState
@@ -294,6 +294,29 @@ def test_the_tapper_releases_the_arm_only_when_the_strike_has_ended(outcome, pub
     assert [(each.duration, each.key) for each in calls] == (
         [] if after is None else [(after, call.request.key)]
     )
+
+
+@pytest.mark.parametrize("fires", [True, False])
+@pytest.mark.parametrize("end", ["withdrawn", "deactivated"])
+def test_a_tap_that_is_given_up_is_neither_charged_further_nor_fired(fires, end):
+    pair = Pair()
+    if fires:
+        call = pair.begin()
+        made = pair.arm.on_request("hold_still", call.request, 1, at(START))
+        (answer,) = [effect for effect in made if isinstance(effect, Answer)]
+        (job,) = jobs(pair.tapper.on_answer(call.token, answer.response, at(START + 0.001)))
+    else:
+        job = pair.begin_charging()
+    now, release_by = at(START + 0.002), START + 0.08
+    assert pair.tapper.check_charging(now) is None
+    assert (pair.tapper.check_firing(release_by, now) is None) == fires
+    if end == "withdrawn":
+        made = pair.tapper.on_message("tap_command", pair.command(TapCommand.WITHDRAW, now), now)
+    else:
+        made = pair.tapper.on_lifecycle(Deactivated(), now)
+    assert AbandonJob(job) in made
+    assert pair.tapper.check_charging(now) is not None
+    assert pair.tapper.check_firing(release_by, now) is not None
 
 
 def test_the_tapper_requests_a_promise_five_times_at_most() -> None:
