@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 from hypothesis import given, settings
@@ -219,6 +221,16 @@ def test_the_constants_cover_the_documented_times() -> None:
     assert permit.RELEASE_S >= (WINDOW_S + LONGEST_PULSE) * (1 + CLOCK_TOLERANCE)
     assert permit.RELEASED_S >= LONGEST_PULSE * (1 + CLOCK_TOLERANCE)
     assert permit.BEFORE_FLIGHT_S > permit.RELEASE_S
+
+
+def test_the_arm_can_be_asked_to_stand_still_for_the_slowest_tapper_of_the_cell() -> None:
+    slow, fast = (
+        SimpleNamespace(stroke=0.02, curve=lambda slowest=slowest: SimpleNamespace(slowest=slowest))
+        for slowest in (0.02, 0.2)
+    )
+    for sections in ({"a": slow, "b": fast}, {"a": fast, "b": slow}):
+        cell: Any = SimpleNamespace(tapper_sections=sections)
+        assert permit.longest_hold(cell) == pytest.approx(0.17 + 1.1 * 0.02 / 0.02)
 
 
 @given(st.floats(0.0, 0.3), st.floats(CURVE.slowest, CURVE.fastest))

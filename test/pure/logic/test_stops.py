@@ -7,7 +7,7 @@ from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from tapping_cell.hardware.faults import FaultReason, HardwareFault
@@ -29,6 +29,7 @@ def reset(latch: StopLatch, levels: StopLevels, steady: float) -> str:
 
 
 @given(st.lists(st.sampled_from([True, False, SERVICE, "another source"]), max_size=6))
+@example([True, False, True])
 def test_every_change_of_the_latch_is_reported_and_restored_after_a_restart(operations):
     latch = StopLatch()
     for operation in operations:
@@ -90,6 +91,7 @@ def test_a_confirmation_does_not_outlast_its_time() -> None:
     latch = StopLatch()
     latch.receive(True)
     gone = StopLevels(False, (), ("a",))
+    assert CONFIRM_WITHIN_S == 30.0, "the limit of docs/safety.md"
     assert reset(latch, gone, 10.0)
     assert reset(latch, gone, 10.1 + CONFIRM_WITHIN_S)
 
