@@ -8,6 +8,7 @@ have found most mutants so far, until one fails. If none fails, a campaign in vi
 from __future__ import annotations
 
 import ast
+import inspect
 import os
 import pickle
 import resource
@@ -32,7 +33,7 @@ TIME_FACTOR, LEAST_TIME_S = 4.0, 10.0
 """Limit of a mutant's processor time: multiple of the time of its tests, and a minimum."""
 A_GOAL_S = 3.0
 """Processor time that a campaign may take for each goal."""
-MEMORY_B = 8 << 30
+MEMORY_B = 4 << 30
 """Limit of a mutant's address space."""
 PATIENCE = 20
 """Multiple of the limit of the processor time after which a mutant that waits for ever is ended."""
@@ -115,8 +116,11 @@ class Runner:
         if not isinstance(covered, Covered):
             raise session.Interrupted(f"without a mutant, {covered or 'the tests end the process'}")
         uses = _uses(covered)
+        texts = [inspect.getsource(getattr(item, "obj", type(item))) for item in items]
         for source, mutant in self._mutants:
             tests = _tests_of(source, mutant, covered, uses)
+            if isinstance(mutant.place, ast.Assign):
+                tests = sorted({*tests, *_naming(mutant.name.split(":")[1], texts)})
             tests.sort(key=lambda test: covered.seconds[test] / (1 + self._kills[test]))
             while len(self._running) >= self._jobs:
                 self._end_one(items)
@@ -206,6 +210,11 @@ def _tests_of(
     if isinstance(mutant.place, ast.Assign):
         wanted = uses[mutant.name.split(":")[1]]
     return [test for test, places in enumerate(covered.places) if not wanted.isdisjoint(places)]
+
+
+def _naming(constant: str, texts: list[str]) -> list[int]:
+    """Return the numbers of the tests whose source names a constant."""
+    return [number for number, text in enumerate(texts) if constant in text]
 
 
 def _uses(covered: Covered) -> dict[str, set[Place]]:

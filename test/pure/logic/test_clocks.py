@@ -16,7 +16,7 @@ from tapping_cell.logic.cell_monitor import NAMES, QUICKEST_IMAGE_S, CellMonitor
 from tapping_cell.logic.clock import NANOSECONDS, Now, to_stamp
 from tapping_cell.logic.peer_clock import SKEW_LIMIT_S
 from tapping_cell.logic.poses import to_message
-from tapping_cell.logic.tapper_peers import PeerLimits, TapperPeers
+from tapping_cell.logic.tapper_peers import Mounts, PeerLimits, TapperPeers
 from tapping_cell.messages import (
     ArmState,
     ErrorCode,
@@ -327,6 +327,32 @@ def test_a_late_message_does_not_hide_that_the_object_was_moved(taken: float, am
     see(peers, taken, 0.01 if taken == 1.1 else 0.0, 1.12, among)
     reason = peers.check_firing(7, here, here, at(1.12))
     assert reason is not None and reason[0] == ErrorCode.OBJECT_MOVED
+
+
+def test_the_pose_of_an_object_that_is_not_seen_does_not_count() -> None:
+    peers, here = watching(""), Pose(0.0, 0.0, 0.0)
+    hidden = replace(seen(1.1, 0.0), visible=False)
+    wrong = replace(seen(1.1, 0.0), error_code=ErrorCode.OBJECT_MOVED)
+    for state in (hidden, wrong):
+        state.pose.pose = to_message(Pose(0.01, 0.0, 0.0))
+        peers.on_object_state(state, at(1.1))
+    assert peers.check_firing(7, here, here, at(1.11)) is None
+
+
+@given(st.booleans(), st.booleans(), st.sampled_from([(), ("west",)]), st.booleans())
+def test_a_fixed_tapper_needs_its_mounts_and_all_other_conditions(fitted, proven, away, waits):
+    peers, here = TapperPeers(PeerLimits()), Pose(0.0, 0.0, 0.0)
+    peers.use_mounts(Mounts(proven, fitted, away))
+    peers.begin_tap("", 0.0)
+    for state in (PlanState.FIRING, PlanState.FIRING if waits else PlanState.IDLE):
+        peers.on_plan_state(PlanState(state=state), at(1.0))
+    wanted = {ErrorCode.NOT_READY} if not waits else {ErrorCode.NONE}
+    if away or not (fitted and proven):
+        wanted = {ErrorCode.TAPPER_MOUNT_NOT_PROVEN}
+    if fitted and away:
+        wanted = {ErrorCode.TAPPER_STRIKER_AWAY}
+    for check in (peers.check_charging, peers.check_firing):
+        assert {(check(7, here, here, at(1.0)) or (ErrorCode.NONE,))[0]} == wanted
 
 
 def test_an_object_that_is_moved_after_the_cameras_clock_was_set_back_is_not_struck() -> None:

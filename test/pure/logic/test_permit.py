@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 from hypothesis import given, settings
@@ -35,7 +37,7 @@ from tapping_cell.logic.effects import (
     Publish,
     RunJob,
 )
-from tapping_cell.logic.host import Activated, Configured, ShutDown
+from tapping_cell.logic.host import Activated, Configured, Deactivated, ShutDown
 from tapping_cell.logic.poses import to_message
 from tapping_cell.logic.tapper_jobs import WINDOW_S, ChargeEnd, FireEnd, Status
 from tapping_cell.messages import ArmState, ErrorCode, HoldStill, TapCommand, TapperState
@@ -221,6 +223,16 @@ def test_the_constants_cover_the_documented_times() -> None:
     assert permit.BEFORE_FLIGHT_S > permit.RELEASE_S
 
 
+def test_the_arm_can_be_asked_to_stand_still_for_the_slowest_tapper_of_the_cell() -> None:
+    slow, fast = (
+        SimpleNamespace(stroke=0.02, curve=lambda slowest=slowest: SimpleNamespace(slowest=slowest))
+        for slowest in (0.02, 0.2)
+    )
+    for sections in ({"a": slow, "b": fast}, {"a": fast, "b": slow}):
+        cell: Any = SimpleNamespace(tapper_sections=sections)
+        assert permit.longest_hold(cell) == pytest.approx(0.17 + 1.1 * 0.02 / 0.02)
+
+
 @given(st.floats(0.0, 0.3), st.floats(CURVE.slowest, CURVE.fastest))
 def test_an_answer_that_leaves_too_little_time_is_requested_again(
     late: float, speed: float
@@ -294,6 +306,29 @@ def test_the_tapper_releases_the_arm_only_when_the_strike_has_ended(outcome, pub
     assert [(each.duration, each.key) for each in calls] == (
         [] if after is None else [(after, call.request.key)]
     )
+
+
+@pytest.mark.parametrize("fires", [True, False])
+@pytest.mark.parametrize("end", ["withdrawn", "deactivated"])
+def test_a_tap_that_is_given_up_is_neither_charged_further_nor_fired(fires, end):
+    pair = Pair()
+    if fires:
+        call = pair.begin()
+        made = pair.arm.on_request("hold_still", call.request, 1, at(START))
+        (answer,) = [effect for effect in made if isinstance(effect, Answer)]
+        (job,) = jobs(pair.tapper.on_answer(call.token, answer.response, at(START + 0.001)))
+    else:
+        job = pair.begin_charging()
+    now, release_by = at(START + 0.002), START + 0.08
+    assert pair.tapper.check_charging(now) is None
+    assert (pair.tapper.check_firing(release_by, now) is None) == fires
+    if end == "withdrawn":
+        made = pair.tapper.on_message("tap_command", pair.command(TapCommand.WITHDRAW, now), now)
+    else:
+        made = pair.tapper.on_lifecycle(Deactivated(), now)
+    assert AbandonJob(job) in made
+    assert pair.tapper.check_charging(now) is not None
+    assert pair.tapper.check_firing(release_by, now) is not None
 
 
 def test_the_tapper_requests_a_promise_five_times_at_most() -> None:

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from tapping_cell.hardware.faults import FaultReason, HardwareFault
@@ -15,7 +15,7 @@ from tapping_cell.logic import tapper_jobs
 from tapping_cell.logic.clock import Now
 from tapping_cell.logic.device import STOP_AGAIN_S
 from tapping_cell.logic.effects import JobContext, StopLevels, StopWire
-from tapping_cell.logic.stops import CONFIRM_WITHIN_S, SERVICE, StopLatch
+from tapping_cell.logic.stops import CONFIRM_WITHIN_S, SERVICE, TOPIC, StopLatch
 from tapping_cell.logic.tapper import TapperLogic, TapperOptions
 from tapping_cell.messages import Bool
 
@@ -26,6 +26,53 @@ def reset(latch: StopLatch, levels: StopLevels, steady: float) -> str:
     """Request a reset, and answer the request at once."""
     now = Now(steady, 0)
     return latch.try_reset(latch.begin_reset(now), levels, now)
+
+
+@given(st.lists(st.sampled_from([True, False, SERVICE, "another source"]), max_size=6))
+@example([True, False, True])
+def test_every_change_of_the_latch_is_reported_and_restored_after_a_restart(operations):
+    latch = StopLatch()
+    for operation in operations:
+        before, sources = latch.content(), latch.sources
+        is_level = isinstance(operation, bool)
+        changed = latch.receive(operation) if is_level else latch.press(operation)
+        assert changed == (latch.content() != before)
+        source = TOPIC if is_level else operation
+        added = operation is not False and source not in sources
+        assert latch.sources == (*sources, source) if added else latch.sources == sources
+        asserted = (latch.content() or {}).get("asserted", False)
+        assert bool(latch.advice()) == latch.stopped
+        assert latch.advice().startswith("release the emergency stop") == asserted
+    restored = StopLatch()
+    restored.recall(latch.content())
+    assert restored.content() == latch.content()
+
+
+def test_a_stop_received_before_the_stored_one_is_recalled_stays_asserted() -> None:
+    latch = StopLatch()
+    latch.receive(True)
+    latch.recall({"sources": [SERVICE], "asserted": False})
+    assert latch.content() == {"sources": [TOPIC, SERVICE], "asserted": True}
+
+
+def test_no_reset_without_an_answer_of_the_publishers() -> None:
+    latch = StopLatch()
+    latch.press()
+    for steady in (10.0, 11.0):
+        request = latch.begin_reset(Now(steady, 0))
+        assert "could not be determined" in latch.try_reset(request, None, Now(steady, 0))
+    assert latch.stopped
+
+
+def test_a_level_found_by_a_reset_is_remembered_until_the_reset_succeeds() -> None:
+    """The publisher that asserts the stop disappears before the next request to reset."""
+    latch = StopLatch()
+    latch.press()
+    assert "still held" in reset(latch, StopLevels(True, ("a",), ()), 10.0)
+    assert "without releasing it" in reset(latch, QUIET, 11.0)
+    assert reset(latch, QUIET, 12.0) == ""
+    latch.press()
+    assert reset(latch, QUIET, 13.0) == "", "the reset has ended the doubt"
 
 
 def test_a_confirmation_counts_for_the_stops_before_it_only() -> None:
@@ -44,6 +91,7 @@ def test_a_confirmation_does_not_outlast_its_time() -> None:
     latch = StopLatch()
     latch.receive(True)
     gone = StopLevels(False, (), ("a",))
+    assert CONFIRM_WITHIN_S == 30.0, "the limit of docs/safety.md"
     assert reset(latch, gone, 10.0)
     assert reset(latch, gone, 10.1 + CONFIRM_WITHIN_S)
 

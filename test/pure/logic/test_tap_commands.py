@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from logic_parts import board_reply
@@ -44,6 +45,30 @@ def test_a_strike_pose_with_a_quaternion_that_is_not_normalised_is_refused(norm:
     refused = tap_commands.refusal(command, now, 0)
     assert refused is not None and refused[0] == ErrorCode.COMMAND_INVALID
     assert "quaternion" in refused[1]
+
+
+@pytest.mark.parametrize(
+    ("valid", "ahead", "above", "code"),
+    [
+        (899.0, 0.9, 1, ErrorCode.NONE),
+        (901.0, 0.0, 1, ErrorCode.COMMAND_INVALID),
+        (1.0, 1.1, 1, ErrorCode.STAMP_INVALID),
+        (1.0, 0.0, 2**28, ErrorCode.NONE),
+        (1.0, 0.0, 2**28 + 1, ErrorCode.COMMAND_INVALID),
+        (1.0, 0.0, 0, ErrorCode.COMMAND_REPEATED),
+        (1.0, 0.0, -1, ErrorCode.COMMAND_REPEATED),
+    ],
+)
+def test_a_command_is_refused_beyond_its_limits_of_time_and_id(valid, ahead, above, code):
+    """Times in s; ``above``: distance of the id from the last id, which exceeds the clock."""
+    now = Now(steady=100.0, ros=10**18)
+    last = 2 * 10**9
+    command = TapCommand(tap_id=last + above, striker_speed=0.3)
+    command.header.frame_id = "table"
+    command.header.stamp = to_stamp(now.ros + round(ahead * 1e9))
+    command.expiry = to_stamp(now.ros + round(valid * 1e9))
+    command.strike_pose.orientation.w = 1.0
+    assert (tap_commands.refusal(command, now, last) or (ErrorCode.NONE,))[0] == code
 
 
 def test_the_tapper_refuses_a_tap_for_another_tapper_and_names_itself() -> None:
