@@ -130,8 +130,8 @@ class Disk:
     """Data that a process has stored on disk and that remain when the process ends."""
 
     goal: Content | None = None
-    goal_touched: tuple[float, int] = (0.0, 0)
-    """Time of the last change or touch of the stored goal, s, and the computer's time then, ns."""
+    goal_touched: int = 0
+    """Computer's time of the last change or touch of the stored goal, ns."""
     stop: Content | None = None
     full: bool = False
 
@@ -182,16 +182,11 @@ class Process:
         self.disk = Disk()
         self.alive = False
         self.active = False
-        self.inactive_since = 0.0
-        """Time since which the node has been inactive; inf while it is active."""
         self.frozen_until = 0.0
         self.freeze_before_write: PlannedFreeze | None = None
         self.freeze_after_check: float = 0.0
         """Duration of a freeze after the running job has next asked the state machine, s; 0: no
         freeze."""
-        self.hidden_age = 0.0
-        """Time by which the goal that was stored at the last configuration was older than the clock
-        of the computer showed, s; 0 if this clock showed a negative age."""
         self.activation_delay: float = 0.0
         """Time from the next configuration of the node to its activation, s."""
         self.on_handled: Callable[[str, str, Any], None] = lambda process, topic, message: None
@@ -204,16 +199,9 @@ class Process:
         self.on_requested: Callable[[str, str, Any], None] = lambda process, service, token: None
         """Called with process, service and token when the process receives a request, before the
         state machine handles it."""
-        self.on_computing: Callable[[int], None] = lambda job: None
-        """Called with the number of a job that only computes, when the job begins."""
-        self.on_computed: Callable[[int, bool], None] = lambda job, acted: None
-        """Called at the end of such a job with its number and whether the state machine has acted
-        on its result, before the effects are carried out."""
         self.on_log: Callable[[str, str], None] = lambda process, sentence: None
         self.planted: PlantedException | None = None
         """Exception that one of the next handlers or jobs raises, if any."""
-        self.on_caught: Callable[[str], None] = lambda process: None
-        """Called after the state machine has handled an exception of one of its handlers."""
         self.on_planted: Callable[[str, str], None] = lambda process, place: None
         """Called with process and line of code when this exception was raised."""
         self.freezes = 0
@@ -288,7 +276,6 @@ class Process:
         life = self._life
         self.planted = None
         self.alive, self.active, self.frozen_until = True, False, 0.0
-        self.inactive_since = self._scheduler.now
         self._connected = self._configured = self._connecting = False
         self.logic, self._driver = self._program.make()
         if isinstance(self.logic, DeviceLogic):
@@ -353,7 +340,6 @@ class Process:
             if not self._configured or isinstance(event, Activated) == self.active:
                 return
             self.active = isinstance(event, Activated)
-            self.inactive_since = math.inf if self.active else self._scheduler.now
             self._handle(self.logic.on_lifecycle, event, received=event)
             self.on_lifecycle(self.name, self.active)
 
@@ -452,9 +438,6 @@ class Process:
                 effects = self.logic.on_defect(error, self._clock.now(), received)
             except Exception as second:
                 raise UnhandledDefectError(f"{self.name}: {second!r} after {error!r}") from second
-            self._carry_out(effects)
-            self.on_caught(self.name)
-            return
         self._carry_out(effects)
 
     def _call(self, call: Callable[..., Any], *arguments: Any) -> Any:
@@ -508,7 +491,6 @@ class Process:
             life = self._life
             slow = self._draw(0.0, 1.0) < SHARE_OF_SLOW_COMPUTATIONS
             duration = self._draw(*(SLOW_COMPUTING_S if slow else COMPUTING_S))
-            self.on_computing(job.number)
             self._scheduler.after(duration, lambda: self._compute(job, life))
             return
         self._jobs.append(job)
@@ -519,13 +501,7 @@ class Process:
         if life != self._life:
             return
         ended = self._run(job, None)
-
-        def take(event: JobEnded, now: Now) -> Sequence[Effect]:
-            effects: Sequence[Effect] = self.logic.on_job(event, now)
-            self.on_computed(event.job, bool(effects))
-            return effects
-
-        self._when_awake(lambda: self._handle(take, ended, received=ended))
+        self._when_awake(lambda: self._handle(self.logic.on_job, ended, received=ended))
 
     def _run(self, job: Job, worker: Fiber | None) -> JobEnded:
         try:
@@ -554,9 +530,9 @@ class Process:
             self._scheduler.after(0.3, lambda: self._report_stops(effect.token, life))
         elif isinstance(effect, KeepGoal):
             self.disk.goal = None if self.disk.full else effect.content
-            self.disk.goal_touched = self._scheduler.now, self._clock.now().ros
+            self.disk.goal_touched = self._clock.now().ros
         elif isinstance(effect, TouchGoal):
-            self.disk.goal_touched = self._scheduler.now, self._clock.now().ros
+            self.disk.goal_touched = self._clock.now().ros
         elif isinstance(effect, KeepStop):
             if effect.content is None:
                 self._stop_publishers.clear()
@@ -590,9 +566,7 @@ class Process:
         if life != self._life:
             return
         self._connected = self._driver is not None
-        touched, stamp = self.disk.goal_touched
-        age = 1e-9 * (self._clock.now().ros - stamp)
-        self.hidden_age = self._scheduler.now - touched - age if age >= 0 else 0.0
+        age = 1e-9 * (self._clock.now().ros - self.disk.goal_touched)
         event = Configured(self._program.cell, connected, self.disk.goal, age)
 
         def handle() -> None:

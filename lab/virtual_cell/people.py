@@ -3,7 +3,6 @@ the other one confirms the planner's taps."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from functools import partial
 from typing import Any
@@ -50,8 +49,6 @@ class EnablingPerson:
         """``set_switch``: hold or release the switch at the tapper's board."""
         self.held: set[str] = set()
         """Devices that the person holds now."""
-        self.key_held_since = math.inf
-        """Time since which the person has held the key; inf while the key is released."""
         self._scheduler = scheduler
         self._network = network
         self._set_switch = set_switch
@@ -82,7 +79,6 @@ class EnablingPerson:
             self._set_switch(False)
             return
         self._grip += 1
-        self.key_held_since = math.inf
         if not silent:
             self._network.publish("page", "enabling", Bool(data=False))
 
@@ -94,7 +90,6 @@ class EnablingPerson:
             self._set_switch(True)
             return
         self._grip += 1
-        self.key_held_since = self._scheduler.now
         self._press_key(self._grip)
 
     def _press_key(self, grip: int) -> None:

@@ -10,9 +10,6 @@ from tapping_cell.hardware.faults import FaultReason, HardwareFault
 from tapping_cell.simulation.fault_layer import FaultLayer
 from tapping_cell.simulation.virtual_line import LineEnd
 
-BAD_LINE_S = 15.0
-"""Time within which a driver must detect a fault of its serial line and open the line again, s."""
-
 
 class SerialLine(LineEnd):
     """A board connected by a line that may fail. The board keeps running while the host does not
@@ -24,8 +21,6 @@ class SerialLine(LineEnd):
         """Fiber in which the driver runs."""
         self.before_write: Callable[[], None] = lambda: None
         """Called before bytes are sent; it may freeze the process."""
-        self.received_at = -math.inf
-        """Time at which the host last received bytes, s from the start of the run."""
         self._scheduler = scheduler
         self._offset = 0.0
         self._reading = False
@@ -35,17 +30,6 @@ class SerialLine(LineEnd):
     def set_clock(self, offset: float) -> None:
         """Set the host's steady clock to the time of the run plus ``offset`` in s."""
         self._offset = offset
-
-    @property
-    def failed_at(self) -> float:
-        """Time of the last fault of the line, s from the start of the run; -inf: none."""
-        happened = self.layer.happened
-        return happened[-1][0] if happened else -math.inf
-
-    def failed_since(self, time: float) -> bool:
-        """Return whether a fault of the line may have had an effect since ``time``, in s from the
-        start of the run."""
-        return self.failed_at > time - BAD_LINE_S
 
     # Events of the board
 
@@ -105,8 +89,6 @@ class SerialLine(LineEnd):
         while True:
             self._require()
             data = self.layer.take_output(self._scheduler.now)
-            if data:
-                self.received_at = self._scheduler.now
             if data or self._scheduler.now >= deadline:
                 self.schedule()
                 return data
