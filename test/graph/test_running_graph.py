@@ -10,7 +10,8 @@ import math
 import os
 import signal
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Set
+from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
@@ -120,21 +121,22 @@ class Cell:
         self.client.send(goal, tolerance)
         return self.end()
 
-    def runs(self, number: int) -> list[Run]:
-        """Wait until this many runs have a summary, and return them in chronological order."""
+    def recorded(self, outcome: str, known: Set[str]) -> Run:
+        """Wait for a run with this outcome that is not among the known ones, and return it."""
         found: list[Run] = []
 
-        def recorded() -> bool:
-            found.clear()
-            for entry in sorted((self.folder / "runs").glob("*")):
-                try:
-                    found.append(read_run(entry))
-                except RunError:
-                    continue
-            return len(found) >= number
+        def summarized() -> bool:
+            for entry in (self.folder / "runs").glob("*"):
+                if entry.name not in known:
+                    with suppress(RunError):
+                        found.append(read_run(entry))
+            return any(run.outcome == outcome for run in found)
 
-        self.wait(recorded, f"{number} runs are recorded")
-        return found
+        self.wait(summarized, f"a run is recorded as {outcome}")
+        return next(run for run in found if run.outcome == outcome)
+
+    def run_names(self) -> Set[str]:
+        return {entry.name for entry in (self.folder / "runs").glob("*")}
 
 
 @pytest.fixture(scope="module")
@@ -264,6 +266,7 @@ def test_goals_of_the_verb_are_recorded_and_no_second_cell_starts(cell: Cell) ->
     def goal(*pose: str) -> tuple[int, str]:
         return run("goal", "--namespace", SPACE, "--wait", "90", *pose, cwd=cell.folder)
 
+    known = cell.run_names()
     for _ in range(3):
         # On a busy machine, late images can end a goal with an error, never with a wrong result.
         status, words = goal("-25", "0", "0")
@@ -275,11 +278,9 @@ def test_goals_of_the_verb_are_recorded_and_no_second_cell_starts(cell: Cell) ->
     assert f"namespace '/{SPACE}'" in words
     status, words = goal("900", "0", "0")
     assert status == 1 and "(103)" in words and "what to do: Send a goal" in words
-    runs = cell.runs(1 + sum(run.outcome == "refused" for run in cell.runs(2)))
-    reached = next(run for run in runs if run.outcome == "reached")
+    reached, refused = cell.recorded("reached", known), cell.recorded("refused", known)
     assert f"_{SPACE}_to_-25_0_0" in reached.name and len(reached.taps) >= 1
-    assert all(r.error_code == 103 and r.taps == () for r in runs if "900" in r.name)
-    assert runs[-1].outcome == "refused"
+    assert "900" in refused.name and refused.error_code == 103 and refused.taps == ()
     bag = read_bag(cell.folder / "runs" / reached.name / "bag")
     assert bag.whole and all(t.name.startswith((f"/{SPACE}/", "/diag")) for t in bag.topics)
 
@@ -314,7 +315,7 @@ def test_the_goal_is_reached_although_every_node_is_killed_once(cell: Cell) -> N
     first, goal = Pose(-0.05, 0.02, 0.0), Pose(-0.02, 0.01, 0.2)
     cell.place(first)
     begin = {name: len(getattr(cell, name)) for name in ("commands", "tapper", "truths", "arm")}
-    recorded = {entry.name for entry in (cell.folder / "runs").glob("*")}
+    known = cell.run_names()
     cell.client.send(goal)
 
     def kill(node: str, phase: str, condition: Callable[[], bool]) -> None:
@@ -336,13 +337,9 @@ def test_the_goal_is_reached_although_every_node_is_killed_once(cell: Cell) -> N
     assert abs(true.rotation_to(goal)) <= TOLERANCE[1]
     safe = {name: getattr(cell, name)[number:] for name, number in begin.items()}
     judge_strikes(safe["commands"], safe["tapper"], safe["truths"], safe["arm"])
-    cut = [
-        entry
-        for entry in (cell.folder / "runs").glob("*")
-        if entry.name not in recorded and not read_bag(entry / "bag").whole
-    ]
-    assert cut, "the killed recorder's bag is kept"
-    assert cell.runs(1)[-1].outcome == "reached"
+    cell.recorded("reached", known)
+    bags = [read_bag(cell.folder / "runs" / name / "bag") for name in cell.run_names() - known]
+    assert not all(bag.whole for bag in bags), "the killed recorder's bag is kept"
 
 
 def judge_strikes(
