@@ -549,7 +549,9 @@ class Trial:
             goal.position_tolerance = position = position * float(self._request_rng.choice(WIDER))
             goal.angle_tolerance = angle = angle * float(self._request_rng.choice(WIDER))
         if self._faulty and self._request_rng.random() < SHARE_OF_SHORT_LIMITS:
-            goal.time_limit = self._goal_limit = draw_duration(self._request_rng, *SHORT_LIMIT_S)
+            self._goal_limit = draw_duration(self._request_rng, *SHORT_LIMIT_S)
+        if self._goal_limit != self.settings.goal_time_limit:
+            goal.time_limit = self._goal_limit
         goals = {self.cell.object.name: from_message(message.pose)}
         return "position_object", goal, self.oracle.on_goal_sent(goals, (position, angle))
 
