@@ -26,6 +26,7 @@ from lab.trial import (
 )
 from lab.virtual_cell.fixed_cell import PhysicalFixedCell
 from lab.virtual_cell.host import Program, copy_of
+from lab.virtual_cell.network import STRANGER
 from lab.virtual_cell.serial_line import BusyLine, SerialLine
 from tapping_cell.configuration.cell import Cell, load_cell
 from tapping_cell.configuration.files import shared_folder
@@ -183,7 +184,7 @@ class FixedTrial(Trial):
         conflicting.strike_pose = to_message(
             Pose(*entry.position, entry.direction), self.cell.strike_height
         )
-        for node, message in (("second program", conflicting), ("program", command)):
+        for node, message in ((STRANGER, conflicting), ("program", command)):
             self.network.publish(node, "tap_command", message)
 
     def _place_by_hand(self, pose: Pose) -> None:

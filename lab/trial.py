@@ -48,7 +48,7 @@ from lab.virtual_cell.host import (
     UnhandledDefectError,
     copy_of,
 )
-from lab.virtual_cell.network import Network, Quality
+from lab.virtual_cell.network import STRANGER, Network, Quality
 from lab.virtual_cell.people import KEY, SWITCH, ConfirmingPerson, EnablingPerson
 from lab.virtual_cell.physical_cell import PhysicalCell
 from lab.virtual_cell.planted_exception import PlantedException
@@ -602,7 +602,6 @@ class Trial:
                 set_up=self.set_up,
                 # In set-up mode, the arm must not home by itself.
                 home_on_activate=self.set_up,
-                draw_key=lambda: int(draw.integers(1, 2**63)),
             )
             driver = make_arm_driver(
                 cell.arm, arm_line, draw_number=lambda below: int(draw.integers(below))
@@ -619,11 +618,7 @@ class Trial:
                 tapper_line, settings, draw_number=lambda below: int(draw.integers(below))
             )
 
-            options = TapperOptions(
-                limits=limits,
-                set_up=self.set_up,
-                draw_key=lambda: int(draw.integers(1, 2**63)),
-            )
+            options = TapperOptions(limits=limits, set_up=self.set_up)
             return TapperLogic(options), driver
 
         limits = PeerLimits(unseen=unseen, needs_camera=True)
@@ -851,7 +846,7 @@ class Trial:
         else:
             turned = from_message(conflicting.strike_pose) @ Pose(0.0, 0.0, 0.2 * sign)
             conflicting.strike_pose = to_message(turned, place.z)
-        self.network.publish("second program", "tap_command", conflicting, only="tapper_trigger")
+        self.network.publish(STRANGER, "tap_command", conflicting, only="tapper_trigger")
         self.network.publish("program", "tap_command", command, only="scara_arm")
 
     def _program_tap(self) -> TapCommand | None:
@@ -1375,7 +1370,7 @@ class Trial:
                 self.scheduler.after(fault.time, partial(self._strike, fault), in_main=True)
 
     def _on_call(self, service: str, request: Any) -> None:
-        if service == "hold_still" and request.duration > 0:
+        if service == "hold_still":
             self._reached(ARM_ASKED)
         if service == "confirm_tap" and self.confirmation is not None:
             self.confirmation.on_call(request)
@@ -1383,8 +1378,7 @@ class Trial:
     def _on_answer(self, node: str, service: str, request: Any, response: Any) -> None:
         if service == "hold_still" and node == "scara_arm":
             self.oracle.on_answer(node, request, response)
-            if request.duration > 0:
-                self._reached(ARM_PROMISED)
+            self._reached(ARM_PROMISED)
         elif service == "confirm_tap" and self.confirmation is not None:
             self.confirmation.on_answer(request, response)
 

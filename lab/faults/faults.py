@@ -15,8 +15,8 @@ from lab.faults.invalid_goals import draw_wrong_goal
 from lab.faults.trajectories import WRONG, draw_trajectory
 from lab.virtual_cell.further_panels import PanelPress
 from lab.virtual_cell.host import PlannedFreeze
+from lab.virtual_cell.network import STRANGER
 from lab.virtual_cell.people import KEY, SWITCH
-from tapping_cell.logic import permit
 from tapping_cell.logic.arm import ArmLogic
 from tapping_cell.logic.clock import to_stamp
 from tapping_cell.logic.host import Activated, Deactivated
@@ -349,7 +349,7 @@ def _replay(rng: np.random.Generator, trial: FaultTarget) -> Made:
     def strike(t: FaultTarget) -> None:
         kept = t.network.history.get(topic)
         if kept:
-            t.network.publish("somebody_else", topic, kept[max(len(kept) - back, 0)])
+            t.network.publish(STRANGER, topic, kept[max(len(kept) - back, 0)])
 
     return strike, f"an old message repeated on {topic}"
 
@@ -374,7 +374,7 @@ def _foreign_command(rng: np.random.Generator, trial: FaultTarget) -> Made:
         command.header.frame_id = "table"
         command.header.stamp = to_stamp(now)
         command.expiry = to_stamp(now + int(rng_expiry * 1e9))
-        t.network.publish("somebody_else", "tap_command", command)
+        t.network.publish(STRANGER, "tap_command", command)
 
     rng_expiry = float(rng.uniform(1.0, 30.0))
     name = "WITHDRAW" if withdraw else "TAP"
@@ -383,43 +383,34 @@ def _foreign_command(rng: np.random.Generator, trial: FaultTarget) -> Made:
 
 
 def _foreign_outcome(rng: np.random.Generator, trial: FaultTarget) -> Made:
-    """Another node falsely reports that the shot is over: this node forges a tapper state or ends
-    the arm's promise to stand still."""
-    fired, by_service = bool(rng.random() < 0.5), bool(rng.random() < 0.5)
+    """Another node falsely reports that the shot is over."""
+    fired = bool(rng.random() < 0.5)
 
     def strike(t: FaultTarget) -> None:
         last = max(t.oracle.commands, default=0)
-        if by_service:
-            request = HoldStill.Request(tap_id=last, duration=0.0, key=1)
-            t.network.call("hold_still", request, lambda _: None)
-            return
         _send_outcome(t, last, TapperState.FIRED if fired else TapperState.NOT_FIRED)
 
-    return strike, "another node ends the arm's promise to stand still" if by_service else (
+    return strike, (
         "another program publishes a tapper_state with the outcome "
         f"{'FIRED' if fired else 'NOT_FIRED'}"
     )
 
 
 def _foreign_hold(rng: np.random.Generator, trial: FaultTarget) -> Made:
-    """Another node requests ``hold_still`` for a tap, and ends the promise to stand still early.
-    Before the request, the node may claim to be the tapper. After the promise, it may also report
+    """Another node requests ``hold_still`` for a tap, then for a shorter time. It may also report
     that the tap is over and withdraw the tap; the arm receives this withdrawal immediately, but the
     tapper receives it late."""
     back, duration = int(rng.integers(0, 2)), float(rng.uniform(0.01, 0.3))
     if rng.random() < SHARE_OF_LONG_HOLDS:
         duration = draw_duration(rng, *LONG_HOLD_S)
     later, late = draw_duration(rng, 0.001, 0.05), float(rng.uniform(0.03, 0.6))
-    sends, claims = rng.random() < 0.7, bool(rng.random() < 0.3)
+    sends = rng.random() < 0.7
     outcome = TapperState.FIRED if rng.random() < 0.5 else TapperState.NOT_FIRED
-    digest = permit.key_digest(7) if claims else 0
 
     def strike(t: FaultTarget) -> None:
         number = max(max(t.oracle.commands, default=0) - back, 0)
-        if claims:
-            _send_outcome(t, number, TapperState.NONE, digest)
         for after, asked in ((0.0, duration), (later, 0.0)):
-            request = HoldStill.Request(tap_id=number, duration=asked, key=7)
+            request = HoldStill.Request(tap_id=number, duration=asked)
             t.scheduler.after(after, partial(t.network.call, "hold_still", request, lambda _: None))
         if sends:
             link = ("tap_command", "tapper_trigger")
@@ -428,12 +419,11 @@ def _foreign_hold(rng: np.random.Generator, trial: FaultTarget) -> Made:
             t.scheduler.after(1.5 * later, partial(leave, t, number))
 
     def leave(t: FaultTarget, number: int) -> None:
-        _send_outcome(t, number, outcome, digest)
+        _send_outcome(t, number, outcome)
         _send_withdrawal(t, number)
 
     return strike, (
-        f"another node{', which claims to be the tapper,' if claims else ''} requests hold_still"
-        f" for {duration:.3f} s and ends it after {later:.3f} s"
+        f"another node requests hold_still for {duration:.3f} s and, {later:.3f} s later, for 0 s"
         + (", then withdraws the tap" if sends else "")
     )
 
@@ -447,13 +437,11 @@ def _foreign_withdrawal(rng: np.random.Generator, trial: FaultTarget) -> Made:
     return strike, "another program's WITHDRAW of the current tap"
 
 
-def _send_outcome(trial: FaultTarget, tap_id: int, outcome: int, key_digest: int = 0) -> None:
+def _send_outcome(trial: FaultTarget, tap_id: int, outcome: int) -> None:
     """Publish an outcome of a tap by a node that is not part of the cell."""
-    forged = TapperState(
-        state=TapperState.SAFE, tap_id=tap_id, outcome=outcome, key_digest=key_digest
-    )
+    forged = TapperState(state=TapperState.SAFE, tap_id=tap_id, outcome=outcome)
     forged.header.stamp = to_stamp(trial.clocks["tapper_trigger"].now().ros)
-    trial.network.publish("somebody_else", "tapper_state", forged)
+    trial.network.publish(STRANGER, "tapper_state", forged)
 
 
 def _send_withdrawal(trial: FaultTarget, tap_id: int) -> None:
@@ -461,7 +449,7 @@ def _send_withdrawal(trial: FaultTarget, tap_id: int) -> None:
     command = TapCommand(request=TapCommand.WITHDRAW, tap_id=tap_id)
     command.header.frame_id = "table"
     command.header.stamp = to_stamp(trial.clocks["tap_planner"].now().ros)
-    trial.network.publish("somebody_else", "tap_command", command)
+    trial.network.publish(STRANGER, "tap_command", command)
 
 
 def _foreign_flood(rng: np.random.Generator, trial: FaultTarget) -> Made:
@@ -500,7 +488,7 @@ def _foreign_flood(rng: np.random.Generator, trial: FaultTarget) -> Made:
         message.header.frame_id = "table"
         node = "tap_planner" if name in ("plan_state", "tap_command") else "scara_arm"
         message.header.stamp = to_stamp(t.clocks[node].now().ros)
-        t.network.publish("somebody_else", name, message)
+        t.network.publish(STRANGER, name, message)
 
     leaves = ", then withdraws the tap" if withdraws else ""
     return strike, f"another program publishes {name} {number} times at 100 Hz{leaves}"
@@ -515,7 +503,7 @@ def _repeated_command(rng: np.random.Generator, trial: FaultTarget) -> Made:
     def repeat(t: FaultTarget) -> None:
         last = max(t.oracle.commands, default=0)
         if last:
-            t.network.publish("somebody_else", "tap_command", t.oracle.commands[last])
+            t.network.publish(STRANGER, "tap_command", t.oracle.commands[last])
 
     def strike(t: FaultTarget) -> None:
         if restarted:
@@ -612,25 +600,23 @@ def _shot_cable(rng: np.random.Generator, trial: FaultTarget) -> Made:
 
 def _foreign_state(rng: np.random.Generator, trial: FaultTarget) -> Made:
     """Another node publishes that the arm is in position, or that the planner waits for a shot."""
-    of_arm, copies_key = bool(rng.random() < 0.5), bool(rng.random() < 0.5)
+    of_arm = bool(rng.random() < 0.5)
 
     def strike(t: FaultTarget) -> None:
         last = max(t.oracle.commands, default=0)
-        arm_states = t.network.history.get("arm_state", ())
         node = "scara_arm" if of_arm else "tap_planner"
         message: ArmState | PlanState = (
             ArmState(
                 state=ArmState.IN_POSITION,
                 tap_id=last,
                 homed=True,
-                arm_key=arm_states[-1].arm_key if copies_key and arm_states else 0,
                 tip_pose=t.oracle.commands[last].strike_pose if last else Pose3(),
             )
             if of_arm
             else PlanState(state=PlanState.FIRING)
         )
         message.header.stamp = to_stamp(t.clocks[node].now().ros)
-        t.network.publish("somebody_else", "arm_state" if of_arm else "plan_state", message)
+        t.network.publish(STRANGER, "arm_state" if of_arm else "plan_state", message)
 
     return strike, f"a forged {'arm_state: in position' if of_arm else 'plan_state: firing'}"
 
@@ -639,14 +625,13 @@ def _second_arm(rng: np.random.Generator, trial: FaultTarget) -> Made:
     """The arm of another cell in the same ROS domain also offers ``hold_still`` and grants every
     request. The process of the cell's own arm may end at the same time."""
     lasting, alone = draw_duration(rng, 0.2, 6.0), bool(rng.random() < 0.3)
-    key = int(rng.integers(1, 2**63))
 
     def strike(t: FaultTarget) -> None:
         if alone:
             t.kill("scara_arm", lasting)
 
         def grant(request: HoldStill.Request, answer: Callable[[HoldStill.Response], None]) -> None:
-            answer(HoldStill.Response(granted=True, duration=request.duration, arm_key=key))
+            answer(HoldStill.Response(granted=True, duration=request.duration))
 
         t.network.serve("scara_arm of another cell", "hold_still", grant)
         t.scheduler.after(lasting, partial(t.network.leave, "scara_arm of another cell"))
@@ -679,7 +664,7 @@ def _invalid_trajectory(rng: np.random.Generator, trial: FaultTarget) -> Made:
 
 
 def _send_trajectory(message: JointTrajectory, trial: FaultTarget) -> None:
-    trial.network.publish("somebody_else", "joint_trajectory", message)
+    trial.network.publish(STRANGER, "joint_trajectory", message)
 
 
 def _fast_trajectory(rng: np.random.Generator, trial: FaultTarget) -> Made:
@@ -692,7 +677,7 @@ def _fast_trajectory(rng: np.random.Generator, trial: FaultTarget) -> Made:
         message = JointTrajectory(joint_names=list(t.joint_names), points=[point])
         if without:
             t.release_enabling((KEY, SWITCH), False, 2.0)
-        send = partial(t.network.publish, "somebody_else", "joint_trajectory", message)
+        send = partial(t.network.publish, STRANGER, "joint_trajectory", message)
         t.scheduler.after(0.5 if without else 0.0, send)
 
     return strike, "a joint_trajectory without times from another node" + (
@@ -930,7 +915,7 @@ def _invalid_goal(rng: np.random.Generator, trial: FaultTarget) -> Made:
         message = PoseStamped(pose=to_message(pose))
         message.header.frame_id = "table"
         wrong.spoil(message, t.clocks["tap_planner"].now().ros)
-        t.network.publish("somebody_else", "goal_pose", message)
+        t.network.publish(STRANGER, "goal_pose", message)
 
     return strike, f"an invalid goal of another client: {wrong.name}"
 

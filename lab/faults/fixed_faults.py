@@ -18,6 +18,7 @@ from lab.faults.faults import (
 )
 from lab.virtual_cell.fixed_cell import PhysicalFixedCell
 from lab.virtual_cell.host import PlannedFreeze
+from lab.virtual_cell.network import STRANGER
 from tapping_cell.logic.clock import to_stamp
 from tapping_cell.logic.poses import to_message
 from tapping_cell.messages import PlanState, TapCommand, TapperState
@@ -63,7 +64,7 @@ def _foreign_command(rng: np.random.Generator, trial: FaultTarget) -> Made:
         )
         command.header.frame_id = "table"
         command.header.stamp = to_stamp(now)
-        t.network.publish("somebody_else", "tap_command", command)
+        t.network.publish(STRANGER, "tap_command", command)
 
     return strike, (
         f"another program's TAP of '{name}' with the id of the {('last', 'next')[ahead]} tap"

@@ -154,8 +154,8 @@ class Oracle:
 
     # What the tapper has heard, and the arm has promised
     _heard: dict[str, float] = field(default_factory=dict)
-    promises: dict[tuple[int, int], float] = field(default_factory=dict)
-    """End of each promise of the arm to stand still, by tap id and key."""
+    promises: dict[int, float] = field(default_factory=dict)
+    """End of each promise of the arm to stand still, by tap id."""
     sights: dict[str, Sight] = field(default_factory=dict)
 
     # Devices
@@ -370,20 +370,14 @@ class Oracle:
             return
         if not (isinstance(response, HoldStill.Response) and response.granted):
             return
-        promise = request.tap_id, request.key
-        before = self.promises.get(promise, -math.inf)
-        end = self.scheduler.now + request.duration
-        if end <= before or request.duration <= 0.0:
-            # A shorter duration ends the promise early.
-            self.promises[promise] = min(end, before)
-            return
+        before = self.promises.get(request.tap_id, -math.inf)
         if self._arm != (ArmState.IN_POSITION, request.tap_id):
             self.violate(
                 "empty promise",
                 f"the arm promised to stand still for tap {request.tap_id} in state {self._arm[0]}"
                 f" for tap {self._arm[1]}",
             )
-        self.promises[promise] = end
+        self.promises[request.tap_id] = max(before, self.scheduler.now + request.duration)
 
     def on_cleared(self, node: str, asked: bool) -> None:
         """Record that a node has published that it keeps no stop. ``asked``: whether a person has
@@ -541,8 +535,7 @@ class Oracle:
 
     def _check_promise(self, release: Release) -> None:
         """Check that the arm has promised to stand still until the end of the flight."""
-        ends = [end for (tap_id, _), end in self.promises.items() if tap_id == release.shot]
-        if self._struck_until + PULSE_S > max(ends, default=-math.inf):
+        if self._struck_until + PULSE_S > self.promises.get(release.shot, -math.inf):
             self.violate(
                 "outside the promise",
                 f"shot {release.shot} was released without a promise of the arm to stand still"
@@ -601,7 +594,7 @@ class Oracle:
                 f"the arm began to move {self._struck_until - now:.3f} s before the end of the"
                 " stroke",
             )
-        for (tap_id, _), end in self.promises.items():
+        for tap_id, end in self.promises.items():
             if now < end - ROUNDING_S:
                 self.violate(
                     "broken promise",

@@ -36,7 +36,6 @@ from tapping_cell.logic.effects import (
     Log,
     Publish,
     RunJob,
-    SeveralServers,
     StopLevels,
     StopWire,
     TouchGoal,
@@ -231,6 +230,7 @@ class Process:
         self._connected = self._configured = False
         self._connecting = False
         """Whether the node tries to connect to its device and therefore handles no timer."""
+        self._conflict = ""
         self._stop_publishers: set[str] = set()
         for line in program.lines:
             line.before_write = self._before_write
@@ -287,6 +287,7 @@ class Process:
         self._handled.clear()
         self._running = None
         self._stop_publishers.clear()
+        self._conflict = ""
         for topic in self._program.topics:
             self._network.subscribe(self.name, topic, self._deliver)
         for service in self._program.services:
@@ -393,9 +394,17 @@ class Process:
     def _take(self, topic: str, message: Any) -> None:
         if topic == "emergency_stop" and isinstance(message, Bool) and message.data:
             self._stop_publishers |= self._present_publishers()
+        self._watch_authority()
         stop = message if topic == "emergency_stop" else None
         self._handle(self.logic.on_message, topic, message, received=stop)
         self.on_handled(self.name, topic, message)
+
+    def _watch_authority(self) -> None:
+        """Notify the state machine of the beginning or the end of a conflict between nodes."""
+        conflict = self._network.conflict()
+        if conflict != self._conflict:
+            self._conflict = conflict
+            self._handle(self.logic.on_conflict, conflict)
 
     def _serve(self, service: str) -> Callable[[Any, Callable[[Any], None]], None]:
         def handle(request: Any, answer: Callable[[Any], None]) -> None:
@@ -521,9 +530,9 @@ class Process:
                 if life == self._life:
                     self._when_awake(lambda: self._handle(self.logic.on_answer, token, response))
 
-            servers = self._network.servers(effect.service)
-            if servers > 1:
-                self._scheduler.after(0.0, lambda: answered(SeveralServers(servers)))
+            self._watch_authority()
+            if self._conflict:
+                self._scheduler.after(0.0, lambda: answered(None))
                 return
             self._network.call(effect.service, effect.request, answered, effect.timeout)
         elif isinstance(effect, AskStops):
@@ -590,6 +599,7 @@ class Process:
         if self._scheduler.now < self.frozen_until:
             self._tick = self._scheduler.at(self.frozen_until, lambda: self._on_tick(life))
             return
+        self._watch_authority()
         if not self._connecting:
             self._handle(self.logic.on_tick)
         period = self.logic.tick_period

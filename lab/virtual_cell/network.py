@@ -11,9 +11,17 @@ from typing import Any
 import numpy as np
 
 from lab.virtual_cell.scheduler import Scheduler
+from tapping_cell.logic.host import ONE_PUBLISHER, ONE_SERVER
 
 SERVICE_TIMEOUT_S = 1.0
 """Default timeout of a service call."""
+
+STRANGER = "somebody_else"
+"""Name of a program that is not part of the cell."""
+STRANGER_S = 1.0
+"""Time for which that program remains after its last message, s."""
+STANDS_IN = {"program": "tap_planner"}
+"""Programs whose messages stand for those of a node of the cell."""
 
 Deliver = Callable[[str, Any], None]
 """Callback with the topic and the message."""
@@ -73,6 +81,8 @@ class Network:
         self._volatile: dict[str, set[str]] = {}
         """Volatile publishers of each latched topic."""
         self._servers: dict[str, dict[str, Handle]] = {}
+        self._publishers: dict[str, dict[str, float]] = {topic: {} for topic in ONE_PUBLISHER}
+        """Time of the last message of each publisher of these topics."""
 
     def subscribe(self, node: str, topic: str, deliver: Deliver) -> None:
         """Subscribe to a topic; latched messages are sent immediately."""
@@ -90,6 +100,8 @@ class Network:
         ``volatile``: whether the publisher is volatile although the topic is latched."""
         self.on_publish(node, topic, message)
         self.history.setdefault(topic, deque(maxlen=20)).append(message)
+        if topic in self._publishers:
+            self._publishers[topic][STANDS_IN.get(node, node)] = self._scheduler.now
         if volatile:
             self._volatile.setdefault(topic, set()).add(node)
         elif self._quality(topic).latched:
@@ -119,9 +131,18 @@ class Network:
         each of them receives every request, and the first answer counts."""
         self._servers.setdefault(service, {})[node] = handle
 
-    def servers(self, service: str) -> int:
-        """Return how many nodes offer a service."""
-        return len(self._servers.get(service, ()))
+    def conflict(self) -> str:
+        """Return which topics several nodes publish and whether several nodes offer
+        ``hold_still``."""
+        gone = self._scheduler.now - STRANGER_S
+        providers = {
+            topic: [name for name, last in found.items() if name != STRANGER or last > gone]
+            for topic, found in self._publishers.items()
+        }
+        providers |= {service: list(self._servers.get(service, ())) for service in ONE_SERVER}
+        return "; ".join(
+            f"{name} of {', '.join(nodes)}" for name, nodes in providers.items() if len(nodes) > 1
+        )
 
     def call(
         self,
@@ -161,6 +182,8 @@ class Network:
             publishers.discard(node)
         for servers in self._servers.values():
             servers.pop(node, None)
+        for found in self._publishers.values():
+            found.pop(node, None)
 
     def _quality(self, topic: str) -> Quality:
         return self._qualities.get(topic, Quality())

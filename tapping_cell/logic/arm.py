@@ -172,9 +172,6 @@ HEALTHY = frozenset(
 )
 AT_WORK = HEALTHY - {S.IDLE}
 """States in which the arm moves, or stands at the strike pose and may move again."""
-NO_REQUESTER = (0, 0)
-"""Tap id and key that match no request, so that no request can end the promise to stand still
-early."""
 UNHOMED = (FaultReason.NOT_HOMED, FaultReason.HOMING_FAILED)
 
 
@@ -189,8 +186,6 @@ class ArmOptions:
     """Set-up mode: the arm moves slowly, and only while an enabling device is held."""
     withdraw_until_seen: bool = True
     """If True, the arm withdraws only until the camera sees the object, not to the park pose."""
-    draw_key: Callable[[], int] = permit.random_key
-    """Returns a random number above 0, by which the tapper recognises this arm's answers."""
 
 
 class ArmLogic(DeviceLogic[State, Event]):
@@ -224,13 +219,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         self._camera: tuple[float, float, float] | None = None
         self._scene: Scene | None = None
         self._to_park = False
-        self._promised_to = NO_REQUESTER
-        self._promised_for = 0.0
         self._promise_end = -math.inf
-        self._released_tap = 0
-        self._key = options.draw_key()
-        self._key_digests: set[int] = set()
-        """Digests of the keys that tappers have reported for the present tap."""
         self._longest_hold = 0.0
         self._outcome_received = 0
         self._charged_until = self._leaving_since = -math.inf
@@ -266,9 +255,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         if service == "~/home":
             self._home(token, now)
         elif service == "hold_still":
-            response = self._hold_still(request, now)
-            response.arm_key = self._key
-            self._effects.append(Answer(token, response))
+            self._effects.append(Answer(token, self._hold_still(request, now)))
 
     def _failure(self, service: str, sentence: str) -> Message:
         if service == "hold_still":
@@ -280,6 +267,9 @@ class ArmLogic(DeviceLogic[State, Event]):
 
     def _tap_command(self, command: TapCommand, now: Now) -> None:
         if command.request == TapCommand.WITHDRAW:
+            if late := tap_commands.late_withdrawal(command, now):
+                self._log(LogLevel.WARNING, f"withdrawal of tap {command.tap_id} ignored: {late}")
+                return
             ours = command.tap_id != 0 and command.tap_id == self._tap_id
             if ours and self.state in (S.PLACING, S.IN_POSITION):
                 self._give_up(now)
@@ -296,7 +286,6 @@ class ArmLogic(DeviceLogic[State, Event]):
             return
         self._machine.move(Event.TAP, S.PLACING)
         self._tap_id = self._last_tap_id = self._last_id = command.tap_id
-        self._key_digests.clear()
         self._expiry = to_nanoseconds(command.expiry)
         self._error = (ErrorCode.NONE, "")
         self._clear_of_camera = self._to_park = False
@@ -370,6 +359,8 @@ class ArmLogic(DeviceLogic[State, Event]):
         """Return why a tap command is refused, or None if it is accepted."""
         if not self._active:
             return ErrorCode.NOT_ACTIVE, "the node is not active; activate it first"
+        if self._conflict is not None:
+            return self._conflict
         if self.state is not S.IDLE:
             return ErrorCode.ARM_BUSY, f"the arm is not idle ({self._error[1] or 'it is busy'})"
         if not self._enabled(now):
@@ -448,33 +439,12 @@ class ArmLogic(DeviceLogic[State, Event]):
     # Standing still for the tapper
 
     def _hold_still(self, request: HoldStill.Request, now: Now) -> HoldStill.Response:
-        end = now.steady + request.duration
-        requester = request.tap_id, request.key
-        is_shorter = 0 <= request.duration < self._promised_for
-        if requester == self._promised_to and is_shorter and self._is_of_tapper(request.key):
-            # The tapper ends its own request only after its striker was fired or discharged.
-            self._released_tap, self._charged_until = request.tap_id, -math.inf
-            stands = end <= self._promise_end
-            self._promise_end = min(self._promise_end, end)
-            self._leave_when_free(now)
-            if stands:
-                return HoldStill.Response(granted=True, duration=request.duration)
-            return HoldStill.Response(
-                error_code=ErrorCode.TAPPER_ARM_NOT_IN_POSITION,
-                error_msg="the arm may have moved again, because the time granted by hold_still "
-                f"for tap {request.tap_id} has already ended",
-            )
         error = self._unsteady(request, now)
         if error is not None:
             code, sentence = error
             return HoldStill.Response(error_code=code, error_msg=sentence)
-        if now.steady < self._promise_end and requester != self._promised_to:
-            # The arm has also promised another requester to stand still. No requester is recorded,
-            # so that nobody can end this promise early.
-            requester = NO_REQUESTER
-        self._promised_to, self._promised_for = requester, request.duration
         # The requested time begins now, when the request is handled, not when it was sent.
-        self._promise_end = max(self._promise_end, end)
+        self._promise_end = max(self._promise_end, now.steady + request.duration)
         return HoldStill.Response(granted=True, duration=request.duration)
 
     def _unsteady(self, request: HoldStill.Request, now: Now) -> CodedError | None:
@@ -486,6 +456,8 @@ class ArmLogic(DeviceLogic[State, Event]):
                 f"the duration of hold_still is {request.duration:g} s; it must be above 0 and at "
                 f"most {self._longest_hold:g} s",
             )
+        if self._conflict is not None:
+            return self._conflict
         if not self._active or self.state is not S.IN_POSITION or request.tap_id != self._tap_id:
             return (
                 ErrorCode.TAPPER_ARM_NOT_IN_POSITION,
@@ -509,33 +481,16 @@ class ArmLogic(DeviceLogic[State, Event]):
             )
         return None
 
-    def _is_of_tapper(self, key: int) -> bool:
-        """Return whether a request with this key comes from the tapper, and not from another
-        client. Another client could, for example, make the first request for a tap while the
-        tapper's process is suspended.
-
-        Return False if several tappers have reported a key for the present tap.
-        """
-        return key > 0 and self._key_digests == {permit.key_digest(key)}
-
     def _on_tapper_state(self, message: TapperState, now: Now) -> None:
-        ours = message.tap_id == self._last_tap_id
-        if ours and message.key_digest:
-            self._key_digests.add(message.key_digest)
-        released = message.tap_id == self._released_tap and len(self._key_digests) == 1
-        if ours and not released and message.state in CHARGED:
-            # Reports that the striker is charged can only make the arm wait longer, so they are
-            # used. Reports that the striker is not charged are ignored, because any program could
-            # publish them.
-            self._charged_until = now.steady + DISCHARGED_S
-        over = message.outcome in (TapperState.FIRED, TapperState.NOT_FIRED)
-        if (
-            not over
-            or message.tap_id in (0, self._outcome_received)
-            or message.tap_id != self._tap_id
-        ):
+        if message.tap_id in (0, self._outcome_received) or message.tap_id != self._last_tap_id:
             return
-        self._outcome_received = message.tap_id
+        if message.state in CHARGED:
+            self._charged_until = now.steady + DISCHARGED_S
+        elif message.outcome in (TapperState.FIRED, TapperState.NOT_FIRED):
+            self._outcome_received = message.tap_id
+            if message.state == TapperState.SAFE and self._conflict is None:
+                self._charged_until = -math.inf
+                self._leave_when_free(now)
 
     def _give_up(self, now: Now) -> None:
         """End the tap and leave the strike pose as soon as the arm no longer has to stand still."""
@@ -553,8 +508,7 @@ class ArmLogic(DeviceLogic[State, Event]):
     def _leave_when_free(self, now: Now) -> None:
         if self.state is not S.LEAVING or self._job is not None:
             return
-        # While the striker is charged, the arm waits, but not longer than LONGEST_WAIT_S. The
-        # tapper's reports can lengthen this wait up to that limit, but never shorten it.
+        # While the striker is charged, the arm waits, but not longer than LONGEST_WAIT_S.
         if now.steady < min(self._charged_until, self._leaving_since + LONGEST_WAIT_S):
             return
         # The job may start shortly before the arm is free to move: it reads the joints, then waits
@@ -823,11 +777,10 @@ class ArmLogic(DeviceLogic[State, Event]):
 
     def _report(self, now: Now) -> Publish:
         reading = self._reading_kept if self._homed() else None
-        code, sentence = self._error
+        code, sentence = self._shown_error(now)
         message = ArmState(
             state=WIRE[self.state],
             tap_id=self._tap_id,
-            arm_key=self._key,
             homed=reading is not None,
             clear_of_camera=self._clear_of_camera,
             set_up=self._options.set_up,
@@ -876,7 +829,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         # While the arm moves to a strike pose, each new read-back is published immediately.
         state = self.state
         read = self._read_stamp if state is S.PLACING else None
-        return WIRE[state], self._tap_id, self._is_key_held(now), self._error, read
+        return WIRE[state], self._tap_id, self._is_key_held(now), self._shown_error(now), read
 
 
 INACTIVE_ERROR = (ErrorCode.NOT_ACTIVE, "the arm's node is not active; activate it")

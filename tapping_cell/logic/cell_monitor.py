@@ -55,7 +55,9 @@ class CellMonitor:
         self._silence_limit = silence_limit
         self._own: ObjectState | None = None
         self._states: dict[str, ObjectState] = {}
-        self._watched = ""
+        self._watched = self._name = ""
+        self.conflict = ""
+        """Which nodes do the work of one node of the cell, as a sentence; empty: none."""
         self.arm: ArmState | None = None
         self.tapper: TapperState | None = None
         self._arm_expected: bool | None = None
@@ -86,10 +88,10 @@ class CellMonitor:
         name selects the cell's own object, whose state is received on ``object_state``."""
         self._watched = name
 
-    def expect(self, has_arm: bool) -> None:
-        """Set whether the cell has an arm. Without this call, the monitor derives from the received
-        messages whether there is an arm."""
-        self._arm_expected = has_arm
+    def expect(self, has_arm: bool, name: str) -> None:
+        """Set whether the cell has an arm, and the name of its own object. Without this call, the
+        monitor derives from the received messages whether there is an arm."""
+        self._arm_expected, self._name = has_arm, name
 
     @property
     def has_arm(self) -> bool:
@@ -239,9 +241,25 @@ class CellMonitor:
         since = self.camera_clock.to_steady(seen.at_rest_since, now)
         return since > moment + QUICKEST_IMAGE_S
 
+    def foreign_object(self) -> CodedError | None:
+        """Return an error if the camera observes another object than that of the cell's file, or
+        None."""
+        own = self._own
+        if own is None or not self._name or own.object_id in ("", self._name):
+            return None
+        return (
+            ErrorCode.CONFIGURATION_CONFLICT,
+            f"object_state is about '{own.object_id}', but tap_planner positions '{self._name}';"
+            " give camera_pose and tap_planner the same cell file",
+        )
+
     def missing(self, now: Now) -> CodedError | None:
         """Return why the cell is not ready for a tap, or None if the cell is ready."""
         arm, tapper = self.arm, self.tapper
+        if self.conflict:
+            return ErrorCode.CONFIGURATION_CONFLICT, self.conflict
+        if (foreign := self.foreign_object()) is not None:
+            return foreign
         of_arm = self._arm_missing(arm, now) if self.has_arm else None
         if of_arm is not None:
             return of_arm

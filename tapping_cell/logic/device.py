@@ -98,6 +98,8 @@ class DeviceLogic(ABC, Generic[State, Event]):
         self._active = False
         self._configured = False
         self._error: CodedError = CONTINUE
+        self._conflict: CodedError | None = None
+        """Why nothing begins: several nodes do the work of one node of the cell."""
         self._effects: list[Effect] = []
         self._jobs = 0
         self._job: int | None = None
@@ -191,6 +193,9 @@ class DeviceLogic(ABC, Generic[State, Event]):
     @abstractmethod
     def _stop(self, now: Now) -> None:
         """Go to the stopped state, from any state."""
+
+    def _contested(self) -> None:
+        """End what must not continue during a conflict between nodes."""
 
     @abstractmethod
     def _fail(self, now: Now) -> None:
@@ -299,6 +304,14 @@ class DeviceLogic(ABC, Generic[State, Event]):
             self._levels_received(token[1], token[2], response, now)
         else:
             self._handle_answer(token, response, now)
+        return self._drain(now)
+
+    def on_conflict(self, sentence: str, now: Now) -> Sequence[Effect]:
+        """Handle the beginning, a change or the end of a conflict between nodes."""
+        self._conflict = (ErrorCode.CONFIGURATION_CONFLICT, sentence) if sentence else None
+        if sentence:
+            self._log(LogLevel.ERROR, sentence)
+            self._contested()
         return self._drain(now)
 
     def on_job(self, event: JobProgress | JobEnded, now: Now) -> Sequence[Effect]:
@@ -415,6 +428,10 @@ class DeviceLogic(ABC, Generic[State, Event]):
         """Abandon the job under way, so that its end does not change the state."""
         self._abandon()
         self._job = None
+
+    def _shown_error(self, now: Now) -> CodedError:
+        """Return the error for the published state: the device's own, or why nothing begins."""
+        return self._error if self._error[0] else self._conflict or self._error
 
     def _set_error(self, code: int, sentence: str) -> None:
         """Set a fault or refusal as the error in the published state, and log it once."""

@@ -93,25 +93,14 @@ class Publish:
 @dataclass(frozen=True, slots=True)
 class Call:
     """Call a service. ``on_answer(token, response)`` is then called once; the response is None
-    after ``timeout``.
-
-    If several nodes offer the service, the service is not called, and the answer is SeveralServers.
-    Otherwise, each of these nodes would handle the request, and the first answer might come from
-    the wrong node.
-    """
+    after ``timeout``, or if several nodes offer the service, because each of them would handle the
+    request."""
 
     service: str
     request: Message
     token: Token
     timeout: float
     """Timeout of the call, s."""
-
-
-@dataclass(frozen=True, slots=True)
-class SeveralServers:
-    """Answer to a :class:`Call` of a service that several nodes offer."""
-
-    number: int
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,6 +18,18 @@ from tapping_cell.logic.clock import Now
 from tapping_cell.logic.effects import Content, Effect, JobEnded, JobProgress, Message, Token
 from tapping_cell.messages import Bool
 
+ONE_PUBLISHER = (
+    "object_state",
+    "object_states",
+    "arm_state",
+    "tapper_state",
+    "plan_state",
+    "tap_command",
+)
+"""Topics that one node of a cell publishes."""
+ONE_SERVER = ("hold_still",)
+"""Services that one node of a cell offers."""
+
 
 @dataclass(frozen=True, slots=True)
 class Configured:
@@ -99,6 +111,10 @@ class Logic(Protocol):
 
     def on_job(self, event: JobProgress | JobEnded, now: Now) -> Sequence[Effect]:
         """Handle the progress or the end of a job."""
+
+    def on_conflict(self, sentence: str, now: Now) -> Sequence[Effect]:
+        """Handle that several nodes publish a topic or offer a service for which the cell has one
+        node. ``sentence`` names them; it is empty when the conflict is over."""
 
     def on_tick(self, now: Now) -> Sequence[Effect]:
         """Handle the timer."""

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import secrets
-
 from tapping_cell.configuration.cell import LONGEST_FLIGHT_S, Cell
 
 BEFORE_FLIGHT_S = 0.17
@@ -13,8 +10,6 @@ requests to arm and board, the firing window and the firing pulse."""
 RELEASE_S = 0.1
 """Minimum part of ``BEFORE_FLIGHT_S`` that must remain when the arm's answer arrives. It covers the
 request to the board, the firing window and the firing pulse."""
-RELEASED_S = 0.035
-"""Maximum time from the board's report that it fired to the end of the firing pulse."""
 SLOWNESS = 1.1
 """Maximum ratio of actual to predicted time of flight. The ratio is above 1, because friction and
 errors of the energy curve can make the striker slower than predicted."""
@@ -37,21 +32,6 @@ def shortfall(time_of_flight: float, granted: float) -> float:
     a number counts as 0."""
     asked = hold(time_of_flight)
     return asked - min(asked, granted) if granted > 0 else asked
-
-
-def random_key() -> int:
-    """Return an unpredictable number above 0."""
-    return 1 + secrets.randbelow(2**63)
-
-
-def key_digest(key: int) -> int:
-    """Return the digest of a key of ``hold_still``. Key and digest are from 1 to 2**64 - 1.
-
-    The tapper publishes the digest before it charges. The arm then recognises the tapper's requests
-    by their key, because no other program can derive the key from the digest.
-    """
-    digest = hashlib.blake2b(key.to_bytes(8, "little"), digest_size=8).digest()
-    return int.from_bytes(digest, "little") or 1
 
 
 def longest_hold(cell: Cell) -> float:

@@ -19,7 +19,7 @@ from tapping_cell.logic import tap_commands
 from tapping_cell.logic.arm_in_view import may_hide
 from tapping_cell.logic.arrangement import ArrangementTask
 from tapping_cell.logic.cell_monitor import CellMonitor, CodedError
-from tapping_cell.logic.clock import NANOSECONDS, Now, to_stamp
+from tapping_cell.logic.clock import NANOSECONDS, Now, to_nanoseconds, to_stamp
 from tapping_cell.logic.confirmation import Confirmation
 from tapping_cell.logic.effects import (
     Answer,
@@ -93,6 +93,11 @@ WITHDRAWN_BY_ANOTHER = (
     "tap_command or tapper_state",
 )
 """Error to report if a tap was not fired although the tapper reports no error."""
+GIVEN_UP = (
+    "no tap could be fired, because the object was moved each time before the tap, or because arm"
+    " or tapper was restarted; see the log of tap_planner"
+)
+"""Error message for a goal whose taps were given up before they were fired."""
 MOVED_BEFORE_TAP = "an object was moved before the tap; observing again"
 EMERGENCY_STOP = (
     ErrorCode.EMERGENCY_STOP,
@@ -306,7 +311,7 @@ class PlannerLogic:
             self._configured = True
             cell = self.goals.cell
             self._has_arm = cell.file.arm is not None
-            self._monitor.expect(self._has_arm)
+            self._monitor.expect(self._has_arm, cell.object.name)
             if event.kept_goal is not None:
                 self._recall(event, now)
         elif isinstance(event, Activated):
@@ -411,6 +416,14 @@ class PlannerLogic:
         """Do nothing: the planner calls no service."""
         return ()
 
+    def on_conflict(self, sentence: str, now: Now) -> Sequence[Effect]:
+        """Handle the beginning, a change or the end of a conflict between nodes: during a conflict,
+        the cell is not ready."""
+        self._monitor.conflict = sentence
+        if sentence:
+            self._log(LogLevel.ERROR, sentence)
+        return self._drain()
+
     def on_job(self, event: JobProgress | JobEnded, now: Now) -> Sequence[Effect]:
         """Act on the decision that a job has computed, unless an object was moved meanwhile."""
         task, seen = self._task, self._monitor.object
@@ -473,11 +486,28 @@ class PlannerLogic:
     # Goals
 
     def _on_goal(self, request: Request, now: Now) -> None:
-        task = self._refusal(now) or self._accepted(lambda: self.goals.accept(request, now))
+        task = (
+            self._refusal(now)
+            or self._outdated(request)
+            or self._accepted(lambda: self.goals.accept(request, now))
+        )
         if isinstance(task, Refused):
             self._refuse(task, request, now)
         else:
             self._begin(task, now)
+            task.sent = to_nanoseconds(request.message.header.stamp) or task.sent
+
+    def _outdated(self, request: Request) -> Refused | None:
+        """Return a refusal if the goal under way is newer than this one, or None."""
+        sent = to_nanoseconds(request.message.header.stamp)
+        if self._task is None or sent <= 0 or sent >= self._task.sent:
+            return None
+        older = (self._task.sent - sent) / NANOSECONDS
+        return Refused(
+            ErrorCode.GOAL_STALE,
+            f"the goal's stamp is {older:.1f} s older than the goal under way; send the goal again"
+            " with a current stamp or with stamp 0",
+        )
 
     def _on_single_tap(self, asked: SingleTap.Goal, token: Token, now: Now) -> None:
         refused = self._refusal(now)
@@ -526,7 +556,8 @@ class PlannerLogic:
         fault = self._monitor.fault()
         if fault is not None:
             return Refused(fault[0], f"the cell is faulted: {fault[1]}")
-        return None
+        foreign = self._monitor.foreign_object()
+        return None if foreign is None else Refused(*foreign)
 
     def _refuse(self, refused: Refused, request: Request, now: Now) -> None:
         """Report a goal that was refused."""
@@ -564,6 +595,7 @@ class PlannerLogic:
         self._struck_at = math.inf
         self._monitor.watch(task.watched)
         self._keep_goal(task, now)
+        task.sent = now.ros - round(SKEW_LIMIT_S * NANOSECONDS)
         self._log(LogLevel.INFO, task.description())
         self._task = task
         self._enter(Event.GOAL_ACCEPTED, S.WAITING_FOR_CELL, now, self._settings.ready_deadline)
@@ -761,6 +793,9 @@ class PlannerLogic:
             self._take_in(task, shot, seen)
             self._shot = None  # from here on, the tap's record counts
         elif shot is not None:
+            if self._exhausts(task, shot, late=True):
+                self._fail(ErrorCode.NOT_READY, GIVEN_UP, now)
+                return
             self._shot = None
             self._keep_goal(task, now)
         # While the arm may hide a part of the table, the camera does not search for unknown
@@ -1041,10 +1076,9 @@ class PlannerLogic:
         """Plan a tap from another direction, because the present tap is out of the arm's reach."""
         task.skip(shot.strike)
         self._withdraw_confirmation(sentence)
-        task.not_fired += 1
         # The arm will not be in position for this tap, so the tapper cannot fire it.
         shot.outcome = shot.outcome or TapperState.NOT_FIRED
-        if task.not_fired >= self._settings.attempts:
+        if self._exhausts(task, shot, late=False):
             self._fail(code, sentence, now)
             return
         self._log(LogLevel.WARNING, f"tap {shot.number}: {sentence}; planning another tap")
@@ -1082,21 +1116,27 @@ class PlannerLogic:
                 code, sentence = WITHDRAWN_BY_ANOTHER
                 self._withdraw_confirmation(sentence)
             self._log(LogLevel.WARNING, f"tap not fired: {sentence}")
-            # The tapper has not fired, so another attempt is as safe as the first.
-            late = tapper.error_code in LATE
-            task.late += late
-            task.not_fired += not late
             if self._has_arm and code == ErrorCode.OBJECT_NOT_SEEN:
                 # On its way to this strike pose, the arm itself may hide the object, so choose
                 # another tap.
                 task.skip(shot.strike)
-            settings = self._settings
-            if task.not_fired >= settings.attempts or task.late >= settings.late_attempts:
+            if self._exhausts(task, shot, late=tapper.error_code in LATE):
                 self._fail(code, sentence, now)
                 return
         else:
             task.not_fired = task.late = 0
         self._enter(Event.OUTCOME_REPORTED, S.SETTLING, now, self._settings.withdraw_deadline)
+
+    def _exhausts(self, task: Task, shot: Shot, late: bool) -> bool:
+        """Count a tap that was commanded and not fired, once. Return whether no further tap is
+        made: another attempt is as safe as the first, but their number is limited."""
+        if shot.counted:
+            return False
+        shot.counted = True
+        task.late += late
+        task.not_fired += not late
+        settings = self._settings
+        return task.not_fired >= settings.attempts or task.late >= settings.late_attempts
 
     def _note_position(self) -> None:
         """Store that the arm was in position for the last tap."""

@@ -16,6 +16,8 @@ pose until the expiry, so a longer expiry would block the cell."""
 CLOCK_TOLERANCE_S = 1.0
 """Maximum time by which a stamp may lie in the future, because the computers' clocks differ
 slightly."""
+LONGEST_WITHDRAWAL_S = 3.0
+"""Maximum age of a withdrawal that moves the arm."""
 LARGEST_JUMP = 2**28
 """Maximum amount by which a tap id may exceed the greater of two numbers: the last id, and the
 clock's time in whole seconds. The limit corresponds to 8 years. Without this limit, one wrong id
@@ -98,6 +100,19 @@ def unknown_tapper(name: str, tappers: Sequence[str]) -> CodedError:
 def expired(command: TapCommand, now: Now) -> bool:
     """Return whether the command's expiry has passed."""
     return now.ros > to_nanoseconds(command.expiry)
+
+
+def late_withdrawal(command: TapCommand, now: Now) -> str:
+    """Return why a withdrawal is too old to move the arm; an empty string if it is not. A stamp of
+    zero means that no stamp was given."""
+    stamp = to_nanoseconds(command.header.stamp)
+    age = (now.ros - stamp) / NANOSECONDS
+    if stamp == 0 or age <= LONGEST_WITHDRAWAL_S:
+        return ""
+    return (
+        f"it is {age:.1f} s old (limit {LONGEST_WITHDRAWAL_S:.1f} s); check the clocks of the"
+        " computers and the network"
+    )
 
 
 def overdue(command: TapCommand, now: Now) -> str:

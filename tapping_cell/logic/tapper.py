@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 from functools import partial
@@ -28,7 +28,6 @@ from tapping_cell.logic.effects import (
     LogLevel,
     Message,
     Publish,
-    SeveralServers,
     Token,
 )
 from tapping_cell.logic.enabling import EnablingDevice
@@ -51,6 +50,11 @@ PROVE_PERIOD_S = 0.5
 REFUSED_KEPT = 32
 """Number of refused commands and of withdrawals that are kept, so that later copies of the commands
 are recognised."""
+SHOWN_AFTER_S = 0.3
+"""Time after which ``tapper_state`` contains the reason why an accepted tap waits."""
+LONGEST_WAIT_S = 4.0
+"""Time after which a tap is given up that waits for anything but the arm's way to its strike
+pose."""
 LONGEST_CHARGED_S = 3.0
 """Maximum time from the end of charging until the arm is in position. After this time the striker
 is discharged."""
@@ -158,18 +162,13 @@ LATCHED = (
 
 @dataclass(frozen=True, slots=True)
 class TapperOptions:
-    """Parameters of the node that the machine needs.
-
-    ``draw_key`` returns a random number above 0. The tapper sends it to the arm as a key, so that
-    only this tapper can end the arm's promise to stand still early.
-    """
+    """Parameters of the node that the machine needs."""
 
     state_rate: float = 20.0
     """Rate at which ``tapper_state`` is published, Hz."""
     limits: PeerLimits = field(default_factory=PeerLimits)
     set_up: bool = False
     """Set-up mode: charges and fires only while an enabling device is held."""
-    draw_key: Callable[[], int] = permit.random_key
 
 
 @dataclass(frozen=True, slots=True)
@@ -224,12 +223,13 @@ class TapperLogic(DeviceLogic[State, Event]):
         self._error = (ErrorCode.TAPPER_NOT_CONNECTED, "the tapper is not connected yet")
         self._tap: Tap | None = None
         self._given_up: CodedError | None = None
+        self._obstacle: CodedError | None = None
+        """Why the accepted tap waits, apart from the arm's way to its strike pose."""
+        self._obstacle_since = math.inf
         self._permit: Permit | None = None
         self._asked_at = -math.inf
         self._attempts = 0
         self._charged_at = -math.inf
-        self._key = 0
-        self._draw_key = options.draw_key
         self._last_tap_id = 0
         self._refused: deque[tuple[int, int]] = deque(maxlen=REFUSED_KEPT)
         """Ids and stamps (ns) of the last commands that were refused while the outcome of another
@@ -255,8 +255,8 @@ class TapperLogic(DeviceLogic[State, Event]):
         tap = self._tap
         if tap is None:
             return ErrorCode.NONE, "the tap is over"
-        if self._given_up is not None:
-            return self._given_up
+        if (reason := self._given_up or self._conflict) is not None:
+            return reason
         if self._stops.stopped or not self._active:
             return ErrorCode.NONE, "the tapper was stopped or deactivated"
         if self._set_up and not self._enabling.held(now):
@@ -353,19 +353,21 @@ class TapperLogic(DeviceLogic[State, Event]):
             permit.flight(self._strokes[tapper], command.striker_speed),
         )
         self._given_up = self._permit = None
+        self._obstacle_since = math.inf
         self._attempts = 0
-        self._key = 0 if self._fixed else self._draw_key()
         self._peers.begin_tap(command.object_id, command.strike_pose.position.z)
         self._error = (ErrorCode.NONE, "")
         self._set_tap(command.tap_id, TapperState.NONE)
-        self._reported.key_digest = permit.key_digest(self._key) if self._key else 0
         if self._fixed:
             self._charge_when_ready(now)
+
+    def _contested(self) -> None:
+        if self._conflict is not None and self.state in SERVING:
+            self._give_up(self._conflict)
 
     def _set_tap(self, tap_id: int, outcome: int) -> None:
         self._fire_job = None
         self._reported.tap_id, self._reported.outcome = tap_id, outcome
-        self._reported.key_digest = 0
         self._reported.measured_speed = math.nan
 
     def _awaits_outcome(self) -> bool:
@@ -376,6 +378,8 @@ class TapperLogic(DeviceLogic[State, Event]):
         """Return why a tap command is refused, or None if it is accepted."""
         if not self._active or not self._configured:
             return ErrorCode.NOT_ACTIVE, "the node is not active; activate it first"
+        if self._conflict is not None:
+            return self._conflict
         if self.state is not S.SAFE:
             serving = self.state in SERVING
             why = (
@@ -393,6 +397,8 @@ class TapperLogic(DeviceLogic[State, Event]):
         if self._set_up and not self._enabling.held(now):
             return enabling.RELEASED
         if (reason := self._peers.clocks_differ(now)) is not None:
+            return reason
+        if (reason := self._peers.unknown_object(command.object_id)) is not None:
             return reason
         if tap_commands.expired(command, now):
             return ErrorCode.TAPPER_COMMAND_EXPIRED, tap_commands.overdue(command, now)
@@ -445,6 +451,7 @@ class TapperLogic(DeviceLogic[State, Event]):
             self._give_up(differ)  # waiting would not remove the difference
             return
         if self.check_charging(now) is not None:
+            self._note_obstacle(tap, now)
             return
         self._machine.move(Event.ARM_READY, S.CHARGING)
         self._run(
@@ -458,6 +465,21 @@ class TapperLogic(DeviceLogic[State, Event]):
                 post_replies=self._set_up,
             ),
         )
+
+    def _note_obstacle(self, tap: Tap, now: Now) -> None:
+        """Note why the tap waits, and give it up if the reason lasts."""
+        self._obstacle = self._peers.obstacle(tap.tap_id, tap.planned, tap.strike, now)
+        if self._obstacle is None:
+            self._obstacle_since = math.inf
+            return
+        self._obstacle_since = min(self._obstacle_since, now.steady)
+        if now.steady > self._obstacle_since + LONGEST_WAIT_S:
+            self._give_up(self._obstacle)
+
+    def _shown_error(self, now: Now) -> CodedError:
+        waits = self.state is S.WAITING and now.steady > self._obstacle_since + SHOWN_AFTER_S
+        shown = super()._shown_error(now)
+        return self._obstacle if waits and self._obstacle is not None and not shown[0] else shown
 
     def _give_up(self, why: CodedError) -> None:
         """End the tap under way. The striker is not released, unless its release has already
@@ -519,33 +541,15 @@ class TapperLogic(DeviceLogic[State, Event]):
         self._attempts += 1
         self._asked_at = now.steady
         duration = permit.hold(self._tap.flight)
-        request = HoldStill.Request(tap_id=self._tap.tap_id, duration=duration, key=self._key)
+        request = HoldStill.Request(tap_id=self._tap.tap_id, duration=duration)
         token = ("hold", self._tap.tap_id, self._attempts)
         self._effects.append(Call("hold_still", request, token, HOLD_TIMEOUT_S))
-
-    def _release_arm(self, after: float) -> None:
-        """Release the arm from its promise to stand still in ``after`` s. If this request is lost,
-        the arm stands still for the full time that it promised."""
-        if self._key and self._attempts:
-            request = HoldStill.Request(tap_id=self._reported.tap_id, duration=after, key=self._key)
-            token = ("let go", self._reported.tap_id)
-            self._effects.append(Call("hold_still", request, token, HOLD_TIMEOUT_S))
-            self._key = 0
 
     def _handle_answer(self, token: Token, response: Message | None, now: Now) -> None:
         tap = self._tap
         if self.state is not S.CHARGED or tap is None:
             return
         if token != ("hold", tap.tap_id, self._attempts):
-            return
-        if isinstance(response, SeveralServers):
-            self._discharge(
-                (
-                    ErrorCode.CONFIGURATION_CONFLICT,
-                    f"{response.number} arms offer hold_still, but a cell has one; end the other"
-                    " scara_arm, or give each cell a namespace or a ROS domain of its own",
-                )
-            )
             return
         # Count the hold time from the moment at which hold_still was requested. The arm counts it
         # from the later moment at which it handles the request, so the arm stands still for longer.
@@ -555,8 +559,6 @@ class TapperLogic(DeviceLogic[State, Event]):
         late = response is None or now.steady > until - permit.RELEASE_S - tap.flight
         if response is not None and not response.granted:
             self._discharge((response.error_code, response.error_msg))
-        elif response is not None and (error := self._peers.other_arm(response.arm_key)):
-            self._discharge(error)
         elif not late:
             self._permit = Permit(tap.tap_id, until)
             self._machine.move(Event.HELD, S.FIRING)
@@ -625,18 +627,13 @@ class TapperLogic(DeviceLogic[State, Event]):
         # node restarted.
         spent = why is not None and why[0] == ErrorCode.TAPPER_SPENT
         self._reported.outcome = TapperState.UNKNOWN if spent else TapperState.NOT_FIRED
-        self._release_arm(0.0)
         code, sentence = why or (ErrorCode.NONE, "")
         self._error = (code, sentence if code else "")
 
     def _fired(self, end: FireEnd, now: Now) -> None:
         """Handle the end of a shot: its outcome, then the state of the board."""
-        struck, self._tap = self._tap, None
+        self._tap = None
         self._reported.outcome = OUTCOMES[end.outcome]
-        if end.outcome is FireOutcome.NOT_FIRED and end.status is not None:
-            self._release_arm(0.0)
-        elif end.outcome is FireOutcome.FIRED and struck is not None:
-            self._release_arm(permit.RELEASED_S + struck.flight)
         refused = end.outcome is FireOutcome.NOT_FIRED
         refusal = self._given_up or end.refusal
         if refused and refusal is not None:
@@ -860,8 +857,7 @@ class TapperLogic(DeviceLogic[State, Event]):
         elif self.state not in (S.STOPPED, S.FAULT):
             self._prove_when_due(now)
             self._read_when_due(READ_PERIOD_S, tapper_jobs.read, now)
-        if self._fixed:
-            self._charge_when_ready(now)
+        self._charge_when_ready(now)
         self._ask_when_in_position(now)
         tap = self._tap
         if self.state is S.WAITING and tap is not None and now.ros > tap.expiry:
@@ -888,7 +884,7 @@ class TapperLogic(DeviceLogic[State, Event]):
     # Reports
 
     def _report(self, now: Now) -> Publish:
-        code, sentence = self._error
+        code, sentence = self._shown_error(now)
         reported = self._reported
         message = TapperState(
             state=WIRE[self.state],
@@ -899,7 +895,6 @@ class TapperLogic(DeviceLogic[State, Event]):
             mounts_proven=self._mounts_proven(),
             tap_id=reported.tap_id,
             outcome=reported.outcome,
-            key_digest=reported.key_digest,
             measured_speed=reported.measured_speed,
             shots_fired=reported.shots_fired,
             boot_number=reported.boot_number,
@@ -918,7 +913,7 @@ class TapperLogic(DeviceLogic[State, Event]):
 
     def _urgent_content(self, now: Now) -> tuple[object, ...]:
         reported = self._reported
-        state, code = WIRE[self.state], self._error[0]
+        state, code = WIRE[self.state], self._shown_error(now)[0]
         return state, reported.tap_id, reported.outcome, code, self._mounts_proven()
 
 

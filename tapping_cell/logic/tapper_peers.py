@@ -114,9 +114,6 @@ class TapperPeers:
         self._limits = limits
         self._arm: ArmState | None = None
         self._arm_received = -math.inf
-        self._arm_keys: set[int] = set()
-        """Keys of the arm that published last before the tap began, and of every arm that has
-        reported a tap id since then. More than one key means that several arms publish."""
         self._clocks = {"arm": PeerClock(), "planner": PeerClock(), "camera": PeerClock()}
         self._plan_received: float | None = None
         self._phase = PlanState.IDLE
@@ -124,6 +121,8 @@ class TapperPeers:
         self._picture_at: float | None = None
         self._object = ""
         self._height = 0.0
+        self._names: set[str] = set()
+        """Names of the objects that the camera has reported."""
         self._seen: dict[str, tuple[ObjectState, float]] = {}
         self._received: dict[str, ObjectState] = {}
         """State of each object in the last message on ``object_state``, or a newer one;
@@ -141,15 +140,12 @@ class TapperPeers:
         show whether the planner commanded this tap.
         """
         self._planners_tap = False
-        self._arm_keys = set() if self._arm is None else {self._arm.arm_key}
         self._object, self._height = object_id, height
 
     def on_arm_state(self, message: ArmState, now: Now) -> None:
         """Process ``arm_state``."""
         self._clocks["arm"].receive(message.header.stamp, now)
         self._arm, self._arm_received = message, now.steady
-        if message.tap_id:
-            self._arm_keys.add(message.arm_key)
 
     def on_plan_state(self, message: PlanState, now: Now) -> None:
         """Process ``plan_state``."""
@@ -163,6 +159,7 @@ class TapperPeers:
         """Process ``object_state``."""
         if message.error_code not in BLIND:
             names = {"", message.object_id}
+            self._names.add(message.object_id)
             seen_at = self._see(message, names, now)
             self._picture_at = max(seen_at, self._picture_at or -math.inf)
             if message.visible and message.error_code == ErrorCode.NONE:
@@ -172,6 +169,7 @@ class TapperPeers:
     def on_object_states(self, message: ObjectStates, now: Now) -> None:
         """Process ``object_states``; the age of each state is determined from its own stamp."""
         for state in message.objects:
+            self._names.add(state.object_id)
             if state.error_code not in BLIND:
                 self._see(state, {state.object_id}, now)
 
@@ -186,6 +184,37 @@ class TapperPeers:
                     self._seen[name] = state, seen_at
                     self._received[name] = state
         return seen_at
+
+    def unknown_object(self, name: str) -> CodedError | None:
+        """Return an error if the camera reports objects but not the one with this name, or None.
+        An empty name means the cell's own object."""
+        if not name or not self._names or name in self._names:
+            return None
+        return (
+            ErrorCode.CONFIGURATION_CONFLICT,
+            f"the tap is for '{name}', but camera_pose reports"
+            f" {', '.join(map(repr, sorted(self._names)))}; give camera_pose and tap_planner the"
+            " same cell file and other_object_files",
+        )
+
+    def obstacle(self, tap_id: int, planned: Pose, strike: Pose, now: Now) -> CodedError | None:
+        """Return what keeps a tap from being charged, apart from the arm's way to its strike pose,
+        or None."""
+        reason = self._check_others(planned, now)
+        arm = self._arm
+        if self._mounts is not None:
+            return self._mounts.check() or reason
+        silence = now.steady - self._arm_received
+        if silence > self._limits.arm_freshness:
+            return reason or (
+                ErrorCode.ARM_SILENT,
+                f"scara_arm has sent no arm_state for {silence:.2f} s (limit"
+                f" {self._limits.arm_freshness:.2f} s); check scara_arm and the network",
+            )
+        if arm is None or arm.state != ArmState.MOVING or arm.tap_id != tap_id:
+            return reason or self._check_arm(tap_id, strike, now)
+        hidden = reason is not None and reason[0] == ErrorCode.OBJECT_NOT_SEEN
+        return None if hidden else reason  # on its way, the arm may hide the object
 
     def given_up(self) -> CodedError | None:
         """Return an error if the planner that commanded the tap no longer waits for it."""
@@ -278,20 +307,6 @@ class TapperPeers:
                 " arm.strike_height, and that strike_pose of tap_command contains this height",
             )
         return None
-
-    def other_arm(self, key: int) -> CodedError | None:
-        """Return an error if ``arm_state`` and the answer to ``hold_still`` come from more than one
-        arm.
-
-        ``key``: key of the arm that answered ``hold_still``.
-        """
-        if self._arm_keys == {key}:
-            return None
-        return (
-            ErrorCode.CONFIGURATION_CONFLICT,
-            "the messages on arm_state and the answer to hold_still come from more than one arm;"
-            " end all but one scara_arm, or give each cell a namespace or a ROS domain of its own",
-        )
 
     def clocks_differ(self, now: Now) -> CodedError | None:
         """Return why the clocks of the cell's computers differ too much for a tap, or None."""

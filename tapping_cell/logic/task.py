@@ -65,6 +65,8 @@ class Shot:
     fired_at: int | None = None
     """Time at which the tapper's report arrived, ROS time in ns."""
     outcome: int = TapperState.NONE
+    counted: bool = False
+    """Whether this tap was counted as not fired."""
     in_position: bool = False
     """Whether the arm has reported that it is in position for this tap."""
     measured_speed: float = math.nan
@@ -181,6 +183,8 @@ class Task:
     late: int = 0
     """Consecutive taps that were not fired because a message came too late."""
     without_effect: int = 0
+    sent: int = 0
+    """ROS time in ns; a goal with an older stamp does not replace this one."""
     free_space: object | None = None
     """Map of the free space that the session uses at present."""
     arm: tuple[float, float, float, float] | None = None

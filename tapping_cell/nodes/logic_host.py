@@ -27,6 +27,8 @@ from tapping_cell.logic import effects as fx
 from tapping_cell.logic import stops
 from tapping_cell.logic.clock import Now
 from tapping_cell.logic.host import (
+    ONE_PUBLISHER,
+    ONE_SERVER,
     Activated,
     Deactivated,
     LifecycleEvent,
@@ -35,6 +37,7 @@ from tapping_cell.logic.host import (
     ShutDown,
     UnansweredRequest,
 )
+from tapping_cell.nodes.authority import contest
 from tapping_cell.nodes.cell_node import CellNode, Parameters
 from tapping_cell.nodes.kept_content import KeptContent
 from tapping_cell.nodes.message_conversion import Mirrored, from_ros, ros_class, to_ros
@@ -67,6 +70,8 @@ class LogicHost(Generic[Machine]):
         self._tokens = itertools.count(1)
         self._requests: dict[int, Callable[[Any], None]] = {}
         self._feedback: dict[int, Callable[[Any], None]] = {}
+        self._conflicts: dict[str, str] = {}
+        """Sentence about each topic or service that several nodes provide."""
         self._stop_publishers: dict[bytes, TopicEndpointInfo] = {}
         self._later: deque[Callable[[], None]] = deque()
         self._wake = node.create_guard_condition(self._do_later)
@@ -128,6 +133,10 @@ class LogicHost(Generic[Machine]):
 
     def receive(self, topic: str, message: Any) -> None:
         """Pass a message to the state machine."""
+        if topic in ONE_PUBLISHER:
+            # The publisher of a message is known before its message arrives, so a message of a
+            # second publisher is never handled as that of the first.
+            self._watch_authority((topic,))
         stop = message if topic == stops.TOPIC else None
         self._dispatch(lambda now: self._logic.on_message(topic, message, now), stop)
         if topic == stops.TOPIC and message.data:
@@ -171,7 +180,22 @@ class LogicHost(Generic[Machine]):
             if time.monotonic() > until and self._calls.pop(token, None) is not None:
                 client.remove_pending_request(future)
                 self._answered(token, None)
+        self._watch_authority((*ONE_PUBLISHER, *ONE_SERVER))
         self._dispatch(self._logic.on_tick)
+
+    def _watch_authority(self, names: Iterable[str]) -> None:
+        """Notify the state machine if a second node begins or ends to publish one of these topics
+        or to offer one of these services."""
+        before = dict(self._conflicts)
+        for name in names:
+            sentence = contest(self._node, name)
+            if sentence:
+                self._conflicts[name] = sentence
+            else:
+                self._conflicts.pop(name, None)
+        if self._conflicts != before:
+            sentence = "; ".join(self._conflicts.values())
+            self._dispatch(lambda now: self._logic.on_conflict(sentence, now))
 
     def _answered(self, token: Any, response: Any) -> None:
         self._dispatch(lambda now: self._logic.on_answer(token, response, now))
@@ -286,12 +310,9 @@ class LogicHost(Generic[Machine]):
 
     def _call(self, call: fx.Call) -> None:
         client = self._clients[call.service]
-        if not client.service_is_ready():
+        self._watch_authority((call.service,))
+        if self._conflicts or not client.service_is_ready():
             self._answered(call.token, None)
-            return
-        servers = self._node.count_services(call.service)
-        if servers > 1:
-            self._answered(call.token, fx.SeveralServers(servers))
             return
         future = client.call_async(to_ros(call.request))
         self._calls[call.token] = (future, client, time.monotonic() + call.timeout)

@@ -120,7 +120,10 @@ class Actors:
             tap_id = self._tap.tap_id if self._tap is not None else 0
             if self.camera_active:
                 seen = ObjectState(
-                    visible=self.visible, at_rest=self.at_rest, frames_fused=30, object_id="disk"
+                    visible=self.visible,
+                    at_rest=self.at_rest,
+                    frames_fused=30,
+                    object_id="aluminium disk",
                 )
                 seen.header.stamp, seen.header.frame_id = now, "table"
                 seen.pose.pose = to_message(self.pose)

@@ -120,14 +120,14 @@ def test_a_promise_that_is_broken_is_detected(trial: Trial) -> None:
     oracle, now = trial.oracle, trial.scheduler.now
     oracle.on_publish("scara_arm", "arm_state", ArmState(state=ArmState.IN_POSITION, tap_id=3))
     granted = HoldStill.Response(granted=True)
-    oracle.on_answer("scara_arm", HoldStill.Request(tap_id=3, key=9, duration=2.0), granted)
-    assert oracle.promises[3, 9] == now + 2.0
-    oracle.on_answer("scara_arm", HoldStill.Request(tap_id=3, key=7, duration=0.0), granted)
-    assert oracle.promises[3, 9] == now + 2.0, "another key does not end it"
+    oracle.on_answer("scara_arm", HoldStill.Request(tap_id=3, duration=2.0), granted)
+    assert oracle.promises[3] == now + 2.0
+    oracle.on_answer("scara_arm", HoldStill.Request(tap_id=3, duration=0.1), granted)
+    assert oracle.promises[3] == now + 2.0, "a shorter request does not end it"
     oracle.ask_to_move()
     jog(trial)
     assert "broken promise" in found(trial)
-    oracle.on_answer("scara_arm", HoldStill.Request(tap_id=4, key=9, duration=2.0), granted)
+    oracle.on_answer("scara_arm", HoldStill.Request(tap_id=4, duration=2.0), granted)
     assert found(trial) == {"empty promise"}
 
 

@@ -451,60 +451,29 @@ def leaving_with_a_charged_striker() -> Pair:
 
 
 def report(pair: Pair, state: int, steady: float) -> Sequence[Effect]:
-    message = TapperState(state=state, tap_id=TAP, key_digest=permit.key_digest(7))
+    message = TapperState(state=state, tap_id=TAP)
     return pair.arm.on_message("tapper_state", message, at(steady))
 
 
-def test_the_arm_leaves_once_the_requesting_tapper_releases_it() -> None:
+@pytest.mark.parametrize("outcome", [TapperState.FIRED, TapperState.NOT_FIRED])
+def test_the_arm_leaves_when_its_promise_is_over_and_the_striker_at_rest(outcome: int) -> None:
     pair = in_position()
-    request = HoldStill.Request(tap_id=TAP, duration=0.26, key=7)
+    request = HoldStill.Request(tap_id=TAP, duration=0.26)
     pair.arm.on_request("hold_still", request, 1, at(START))
     report(pair, TapperState.FIRING, START)
     command = pair.command(TapCommand.WITHDRAW, at(START))
     assert not withdraws(pair.arm.on_message("tap_command", command, at(START + 0.1)))
     assert not withdraws(pair.arm.on_tick(at(START + 0.3)))
-    over = HoldStill.Request(tap_id=TAP, duration=0.0, key=7)
-    outcome = TapperState(state=TapperState.SAFE, tap_id=TAP, outcome=TapperState.FIRED)
-    assert not withdraws(pair.arm.on_message("tapper_state", outcome, at(START + 0.35)))
-    assert withdraws(pair.arm.on_request("hold_still", over, 2, at(START + 0.36)))
+    over = TapperState(state=TapperState.SAFE, tap_id=TAP, outcome=outcome)
+    assert withdraws(pair.arm.on_message("tapper_state", over, at(START + 0.35)))
 
 
-@given(
-    st.floats(0.0, arms.DISCHARGED_S - 0.01),
-    st.floats(0.001, 0.3),
-    st.sampled_from([TapperState.NONE, TapperState.FIRED, TapperState.NOT_FIRED]),
-    st.booleans(),
-)
-def test_another_client_that_ends_its_own_request_does_not_discharge_the_striker(
-    wait: float, duration: float, outcome: int, claims: bool
-) -> None:
-    """A tapper that is frozen while its striker is charged makes no request of its own.
-
-    The other client also reports the end of the tap, and may claim to be the tapper.
-    """
-    pair = in_position()
-    forged = TapperState(state=TapperState.SAFE, tap_id=TAP)
-    forged.key_digest = permit.key_digest(99) if claims else 0
-    pair.arm.on_message("tapper_state", forged, at(START))
-    report(pair, TapperState.CHARGING, START)
-    for token, asked in ((1, duration), (2, 0.0)):
-        request = HoldStill.Request(tap_id=TAP, duration=asked, key=99)
-        pair.arm.on_request("hold_still", request, token, at(START))
-    forged.outcome = outcome
-    pair.arm.on_message("tapper_state", forged, at(START))
-    command = pair.command(TapCommand.WITHDRAW, at(START))
-    assert not withdraws(pair.arm.on_message("tap_command", command, at(START)))
-    assert not withdraws(pair.arm.on_tick(at(START + wait)))
-    assert withdraws(pair.arm.on_tick(at(START + arms.DISCHARGED_S + 0.01)))
-
-
-def test_a_report_received_after_the_tapper_released_the_arm_is_ignored() -> None:
+def test_a_report_received_after_the_outcome_is_ignored() -> None:
     pair = in_position()
     report(pair, TapperState.FIRING, START)
-    for token, duration in ((1, 0.26), (2, 0.0)):
-        request = HoldStill.Request(tap_id=TAP, duration=duration, key=7)
-        pair.arm.on_request("hold_still", request, token, at(START))
-    report(pair, TapperState.FIRING, START + 0.01)
+    over = TapperState(state=TapperState.SAFE, tap_id=TAP, outcome=TapperState.FIRED)
+    pair.arm.on_message("tapper_state", over, at(START + 0.01))
+    report(pair, TapperState.FIRING, START + 0.02)
     command = pair.command(TapCommand.WITHDRAW, at(START + 0.1))
     assert withdraws(pair.arm.on_message("tap_command", command, at(START + 0.1)))
 
@@ -513,17 +482,32 @@ def test_a_report_received_after_the_tapper_released_the_arm_is_ignored() -> Non
     st.floats(0.0, arms.DISCHARGED_S - 0.01),
     st.sampled_from([TapperState.SAFE, TapperState.FAULT, TapperState.DISCONNECTED]),
     st.sampled_from([TapperState.NONE, TapperState.FIRED, TapperState.NOT_FIRED]),
+    st.booleans(),
 )
-def test_after_a_report_of_a_charged_striker_no_other_report_lets_the_arm_leave_sooner(
-    wait: float, state: int, outcome: int
+def test_only_the_tapper_itself_at_rest_lets_the_arm_leave_sooner(
+    wait: float, state: int, outcome: int, contested: bool
 ) -> None:
-    """Any node can publish that the striker is at rest, so the arm waits until the board has
-    discharged by itself."""
+    """While two nodes publish tapper_state, or the board's state is not known, the arm waits until
+    the board has discharged by itself."""
     pair = leaving_with_a_charged_striker()
+    if contested:
+        pair.arm.on_conflict("2 nodes publish tapper_state", at(START + 1.0))
     message = TapperState(state=state, tap_id=TAP, outcome=outcome)
-    assert not withdraws(pair.arm.on_message("tapper_state", message, at(START + 1.0 + wait)))
-    assert not withdraws(pair.arm.on_tick(at(START + 1.0 + wait)))
-    assert withdraws(pair.arm.on_tick(at(START + 1.0 + arms.DISCHARGED_S + 0.01)))
+    made = pair.arm.on_message("tapper_state", message, at(START + 1.0 + wait))
+    at_rest = state == TapperState.SAFE and outcome != TapperState.NONE and not contested
+    assert withdraws(made) == at_rest
+    if not at_rest:
+        assert not withdraws(pair.arm.on_tick(at(START + 1.0 + wait)))
+        assert withdraws(pair.arm.on_tick(at(START + 1.0 + arms.DISCHARGED_S + 0.01)))
+
+
+@pytest.mark.parametrize(("age", "moves"), [(0.0, True), (2.9, True), (3.1, False)])
+def test_an_old_withdrawal_moves_nothing(age: float, moves: bool) -> None:
+    pair = in_position()
+    command = pair.command(TapCommand.WITHDRAW, at(START + 1.0))
+    command.header.stamp = to_stamp(at(START + 1.0 - age).ros)
+    made = pair.arm.on_message("tap_command", command, at(START + 1.0))
+    assert withdraws(made) == moves
 
 
 @given(st.floats(0.0, arms.DISCHARGED_S - 0.01))

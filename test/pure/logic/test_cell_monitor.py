@@ -38,7 +38,7 @@ def test_a_tap_is_not_planned_on_an_image_that_arrives_late(age: float, usable: 
 @pytest.mark.parametrize("closed", [True, False])
 def test_an_open_guard_is_named_before_a_tap_is_planned(closed: bool) -> None:
     monitor = CellMonitor(LIMIT_S)
-    monitor.expect(has_arm=False)
+    monitor.expect(has_arm=False, name="disk")
     tapper = TapperState(
         state=TapperState.SAFE, fixed_mounts=True, mounts_proven=True, interlock_closed=closed
     )

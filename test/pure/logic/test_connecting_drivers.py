@@ -39,7 +39,7 @@ def test_after_the_longest_attempt_the_node_counts_as_silent() -> None:
 
 def test_the_reason_of_a_silent_tapper_is_named_too() -> None:
     made = CellMonitor(SILENCE_S)
-    made.expect(has_arm=False)
+    made.expect(has_arm=False, name="disk")
     state = TapperState(state=TapperState.DISCONNECTED, error_code=ErrorCode.TAPPER_NOT_CONNECTED)
     state.error_msg = "no port"
     made.on_tapper(state, at(0.0))

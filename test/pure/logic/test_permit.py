@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
+from functools import partial
 from types import SimpleNamespace
 from typing import Any
 
@@ -84,11 +85,6 @@ class Pair:
         made = self.tapper.on_job(JobEnded(charge, ChargeEnd(status, True, None)), now)
         (call,) = [effect for effect in made if isinstance(effect, Call)]
         return call
-
-    def tell_key(self, steady: float) -> None:
-        """Deliver the tapper's state before charging, which contains the digest of its key."""
-        state = messages(self.tapper.on_tick(at(steady + 0.1)), "tapper_state")[-1]
-        self.arm.on_message("tapper_state", replace(state, state=TapperState.SAFE), at(steady))
 
     def configure_tapper(self, now: Now) -> None:
         self.tapper.on_lifecycle(Configured(CELL, board(BoardState.SAFE)), now)
@@ -219,7 +215,6 @@ def test_the_constants_cover_the_documented_times() -> None:
     assert permit.flight(STROKE, SPEED) == pytest.approx(1.1 * STROKE / SPEED)
     assert permit.hold(0.5) == pytest.approx(0.67)
     assert permit.RELEASE_S >= (WINDOW_S + LONGEST_PULSE) * (1 + CLOCK_TOLERANCE)
-    assert permit.RELEASED_S >= LONGEST_PULSE * (1 + CLOCK_TOLERANCE)
     assert permit.BEFORE_FLIGHT_S > permit.RELEASE_S
 
 
@@ -239,9 +234,7 @@ def test_an_answer_that_leaves_too_little_time_is_requested_again(
 ) -> None:
     pair = Pair(speed=speed)
     call = pair.begin()
-    response = HoldStill.Response(
-        granted=True, duration=call.request.duration, arm_key=pair.arm_state.arm_key
-    )
+    response = HoldStill.Response(granted=True, duration=call.request.duration)
     made = pair.tapper.on_answer(call.token, response, at(START + late))
     is_late = late > permit.BEFORE_FLIGHT_S - permit.RELEASE_S
     assert [effect for effect in made if isinstance(effect, Call)] or not is_late
@@ -281,18 +274,14 @@ def test_the_arm_promises_only_on_a_fresh_reading_and_before_the_tap_expires(lat
 
 
 @pytest.mark.parametrize(
-    ("outcome", "published", "after"),
+    ("outcome", "published"),
     [
-        (
-            FireOutcome.FIRED,
-            TapperState.FIRED,
-            permit.RELEASED_S + permit.flight(STROKE, SPEED),
-        ),
-        (FireOutcome.NOT_FIRED, TapperState.NOT_FIRED, 0.0),
-        (FireOutcome.UNKNOWN, TapperState.UNKNOWN, None),
+        (FireOutcome.FIRED, TapperState.FIRED),
+        (FireOutcome.NOT_FIRED, TapperState.NOT_FIRED),
+        (FireOutcome.UNKNOWN, TapperState.UNKNOWN),
     ],
 )
-def test_the_tapper_releases_the_arm_only_when_the_strike_has_ended(outcome, published, after):
+def test_the_outcome_of_a_shot_is_published_and_the_promise_ends_by_itself(outcome, published):
     pair = Pair()
     call = pair.begin()
     made = pair.arm.on_request("hold_still", call.request, 1, at(START))
@@ -301,11 +290,11 @@ def test_the_tapper_releases_the_arm_only_when_the_strike_has_ended(outcome, pub
     status = Status(board(BoardState.SAFE, TAP), 0)
     end = JobEnded(fire, FireEnd(TAP, outcome, "", None, None, status, None))
     made = pair.tapper.on_job(end, at(START + 0.05))
-    assert messages(made, "tapper_state")[-1].outcome == published
-    calls = [effect.request for effect in made if isinstance(effect, Call)]
-    assert [(each.duration, each.key) for each in calls] == (
-        [] if after is None else [(after, call.request.key)]
-    )
+    state = messages(made, "tapper_state")[-1]
+    assert state.outcome == published
+    pair.arm.on_message("tapper_state", state, at(START + 0.05))
+    full = START + permit.hold(permit.flight(STROKE, SPEED))
+    assert not_before(pair, START + 0.05) == full
 
 
 @pytest.mark.parametrize("fires", [True, False])
@@ -351,20 +340,6 @@ def test_the_arm_promises_nothing_after_the_outcome_of_the_tap() -> None:
     (answer,) = [effect for effect in made if isinstance(effect, Answer)]
     assert not answer.response.granted
     assert answer.response.error_code == ErrorCode.COMMAND_REPEATED
-
-
-def test_the_tapper_does_not_end_a_promise_made_to_another_client() -> None:
-    """The tapper requests again after the other client, then releases the arm."""
-    pair = Pair()
-    call = pair.begin()
-    pair.tell_key(START)
-    full = permit.hold(permit.flight(STROKE, SPEED))
-    other = HoldStill.Request(tap_id=TAP, duration=full, key=1)
-    release = replace(call.request, duration=0.0)
-    for later, request in ((0.0, call.request), (0.01, other), (0.02, call.request)):
-        pair.arm.on_request("hold_still", request, 1, at(START + later))
-    pair.arm.on_request("hold_still", release, 1, at(START + 0.03))
-    assert not_before(pair, START + 0.03) >= START + 0.01 + full
 
 
 @pytest.mark.parametrize("late", [-0.05, 0.05])
@@ -440,99 +415,82 @@ def test_an_answer_to_an_earlier_request_is_no_promise() -> None:
 
 
 @given(
-    key=st.integers(0, 2**64 - 1),
-    tap_id=st.sampled_from((TAP, TAP - 1, 0)),
-    after=st.floats(0.0, 0.2),
-    outcome=st.sampled_from((TapperState.NOT_FIRED, TapperState.FIRED)),
-)
-def test_only_the_requester_of_the_promise_can_end_it(key, tap_id, after, outcome):
-    """Neither a request with another key nor a tapper state from any publisher shortens the
-    promise."""
-    pair = Pair()
-    call = pair.begin()
-    pair.tell_key(START)
-    pair.arm.on_request("hold_still", call.request, 1, at(START))
-    message = TapperState(state=TapperState.SAFE, tap_id=TAP, outcome=outcome)
-    pair.arm.on_message("tapper_state", message, at(START + after))
-    request = HoldStill.Request(tap_id=tap_id, duration=0.0, key=key)
-    pair.arm.on_request("hold_still", request, 2, at(START + after))
-    held = not_before(pair, START + after)
-    ended = (key, tap_id) == (call.request.key, TAP)
-    assert held == (START + after if ended else START + permit.hold(permit.flight(STROKE, SPEED)))
-
-
-@given(st.floats(max_value=-1e-9, allow_nan=False) | st.just(math.nan))
-def test_a_duration_that_is_no_time_does_not_end_the_promise(duration: float) -> None:
-    pair = Pair()
-    call = pair.begin()
-    pair.tell_key(START)
-    pair.arm.on_request("hold_still", call.request, 1, at(START))
-    request = HoldStill.Request(tap_id=TAP, duration=duration, key=call.request.key)
-    made = pair.arm.on_request("hold_still", request, 2, at(START + 0.01))
-    (answer,) = [effect for effect in made if isinstance(effect, Answer)]
-    assert not answer.response.granted
-    full = START + permit.hold(permit.flight(STROKE, SPEED))
-    assert not_before(pair, START + 0.01) == full
-
-
-@given(
     asked=st.lists(
         st.tuples(
-            st.integers(0, 3),
             st.sampled_from((TAP, TAP - 1, 0)),
-            st.sampled_from((0.0, 0.01, 0.1)),
+            st.sampled_from((-0.1, 0.0, 0.01, 0.1, math.nan)),
             st.floats(0.0, 0.01),
         ),
         max_size=8,
     ),
     first=st.booleans(),
+    outcome=st.sampled_from((TapperState.NONE, TapperState.NOT_FIRED, TapperState.FIRED)),
 )
-def test_no_sequence_of_other_requests_takes_over_the_promise(asked, first):
-    """Other requests to stand still, before or after the tapper's request, cannot end the arm's
-    promise to the tapper early."""
+def test_nothing_shortens_the_promise(asked, first, outcome):
+    """Neither other requests to stand still nor a reported outcome end the arm's promise early."""
     pair = Pair()
     call = pair.begin()
-    pair.tell_key(START)
-    assert call.request.key > 3, "the tapper's key is not one of the others'"
     now = START
     if first:
         pair.arm.on_request("hold_still", call.request, 1, at(now))
         granted = now
-    for key, tap_id, duration, later in asked:
+    for tap_id, duration, later in asked:
         now += later
-        request = HoldStill.Request(tap_id=tap_id, duration=duration, key=key)
+        request = HoldStill.Request(tap_id=tap_id, duration=duration)
         pair.arm.on_request("hold_still", request, 2, at(now))
     if not first:
         granted = now
         pair.arm.on_request("hold_still", call.request, 1, at(now))
-    other = HoldStill.Request(tap_id=TAP, duration=0.0, key=1)
-    pair.arm.on_request("hold_still", other, 2, at(now))
+    message = TapperState(state=TapperState.SAFE, tap_id=TAP, outcome=outcome)
+    pair.arm.on_message("tapper_state", message, at(now))
     assert not_before(pair, now) >= granted + permit.hold(permit.flight(STROKE, SPEED))
 
 
-@pytest.mark.parametrize("tapper_reports", [True, False])
-def test_the_key_ends_the_promise_if_the_tapper_has_reported_its_digest(tapper_reports):
+@pytest.mark.parametrize("way", ["discharged", "stopped", "contested", "not known"])
+def test_the_arm_waits_for_a_charged_striker_until_the_board_is_at_rest(way: str) -> None:
     pair = Pair()
-    call = pair.begin()
-    if tapper_reports:
-        pair.tell_key(START)
-    pair.arm.on_request("hold_still", call.request, 1, at(START))
-    request = HoldStill.Request(tap_id=TAP, duration=0.05, key=call.request.key)
-    pair.arm.on_request("hold_still", request, 2, at(START + 0.1))
-    full = START + permit.hold(permit.flight(STROKE, SPEED))
-    assert not_before(pair, START + 0.1) == (START + 0.15 if tapper_reports else full)
+    pair.begin()
+    now = START + 0.1
+    report = partial(TapperState, tap_id=TAP)
+    pair.arm.on_message("tapper_state", report(state=TapperState.CHARGED), at(now))
+    if way == "contested":
+        pair.arm.on_conflict("2 nodes publish tapper_state", at(now))
+    end = report(
+        state=TapperState.STOPPED if way == "stopped" else TapperState.SAFE,
+        outcome=TapperState.UNKNOWN if way == "not known" else TapperState.NOT_FIRED,
+    )
+    pair.arm.on_message("tapper_state", end, at(now))
+    waits = 0.0 if way == "discharged" else arms.DISCHARGED_S
+    assert leaves_at(pair, now) == pytest.approx(now + waits, abs=0.03)
 
 
-def test_no_key_ends_the_promise_if_two_tappers_have_reported_different_digests() -> None:
+def test_nothing_is_promised_charged_or_fired_while_two_nodes_do_one_nodes_work() -> None:
     pair = Pair()
     call = pair.begin()
-    pair.tell_key(START)
-    other = TapperState(state=TapperState.SAFE, tap_id=TAP, key_digest=permit.key_digest(1))
-    pair.arm.on_message("tapper_state", other, at(START))
-    pair.arm.on_request("hold_still", call.request, 1, at(START))
-    request = HoldStill.Request(tap_id=TAP, duration=0.05, key=call.request.key)
-    pair.arm.on_request("hold_still", request, 2, at(START + 0.1))
-    assert not_before(pair, START + 0.1) == START + permit.hold(permit.flight(STROKE, SPEED))
+    pair.arm.on_conflict("2 nodes publish tap_command", at(START))
+    made = pair.arm.on_request("hold_still", call.request, 1, at(START))
+    (answer,) = [effect for effect in made if isinstance(effect, Answer)]
+    assert not answer.response.granted
+    assert answer.response.error_code == ErrorCode.CONFIGURATION_CONFLICT
+    made = pair.tapper.on_conflict("2 nodes publish arm_state (/a, /b)", at(START))
+    (discharge,) = [effect.job for effect in made if isinstance(effect, RunJob)]
+    assert discharge.name == "discharge"
+    safe = Status(board(BoardState.SAFE, TAP), 0)
+    made = pair.tapper.on_job(JobEnded(discharge.number, safe), at(START + 0.1))
+    state = messages(made, "tapper_state")[-1]
+    assert (state.outcome, state.error_code) == (
+        TapperState.NOT_FIRED,
+        ErrorCode.CONFIGURATION_CONFLICT,
+    )
+    assert "/a, /b" in state.error_msg
+    again = replace(pair.command(TapCommand.TAP, at(START + 0.2)), tap_id=TAP + 1)
+    for machine in (pair.arm, pair.tapper):
+        made = machine.on_message("tap_command", again, at(START + 0.2))
+        assert not [effect for effect in made if isinstance(effect, RunJob)]
+    made = pair.tapper.on_conflict("", at(START + 1.0))
+    later = replace(again, tap_id=TAP + 2)
+    pair.tapper.on_message("tap_command", later, at(START + 1.1))
+    assert pair.tapper.state is tappers.State.WAITING
 
 
 def test_the_arm_is_not_released_if_the_board_is_not_known_to_be_discharged() -> None:
@@ -549,45 +507,18 @@ def test_the_arm_is_not_released_if_the_board_is_not_known_to_be_discharged() ->
     assert not [effect for effect in made if isinstance(effect, Call)]
 
 
-def test_the_answer_of_another_arm_is_no_promise() -> None:
-    """The cell's own arm has ended, so that only the arm of another cell offers the service."""
-    pair = Pair()
-    call = pair.begin()
-    other = HoldStill.Response(granted=True, duration=call.request.duration, arm_key=1)
-    made = pair.tapper.on_answer(call.token, other, at(START + 0.01))
-    (discharge,) = [effect.job.name for effect in made if isinstance(effect, RunJob)]
-    assert discharge == "discharge"
-    pair.tapper.on_job(JobEnded(jobs(made)[0], Status(board(BoardState.SAFE), 0)), at(START + 0.1))
-    state = messages(pair.tapper.on_tick(at(START + 1.0)), "tapper_state")[-1]
-    assert state.outcome == TapperState.NOT_FIRED
-    assert state.error_code == ErrorCode.CONFIGURATION_CONFLICT
-
-
-def test_an_arm_that_appears_with_the_tap_is_not_the_cells_own() -> None:
-    """The cell's own arm ends when the tap is commanded. Another program publishes that the arm is
-    in position, and the arm of another cell grants hold_still; both state no key."""
-    pair = Pair()
-    idle = ArmState(state=ArmState.IDLE, homed=True, arm_key=7)
-    idle.header.stamp = to_stamp(at(START - 0.1).ros)
-    pair.configure_tapper(at(START - 10.0))
-    pair.tapper.on_message("arm_state", idle, at(START - 0.1))
-    tap = pair.command(TapCommand.TAP, at(START))
-    pair.tapper.on_message("tap_command", tap, at(START))
-    forged = ArmState(state=ArmState.IN_POSITION, tap_id=TAP, homed=True)
-    forged.tip_pose = tap.strike_pose
-    forged.header.stamp = to_stamp(at(START).ros)
-    (charge,) = jobs(pair.tapper.on_message("arm_state", forged, at(START)))
-    charged = ChargeEnd(Status(board(BoardState.CHARGED, TAP), 0), True, None)
-    made = pair.tapper.on_job(JobEnded(charge, charged), at(START + 0.1))
-    (call,) = [effect for effect in made if isinstance(effect, Call)]
-    other = HoldStill.Response(granted=True, duration=call.request.duration)
-    made = pair.tapper.on_answer(call.token, other, at(START + 0.11))
-    assert [effect.job.name for effect in made if isinstance(effect, RunJob)] == ["discharge"]
+def leaves_at(pair: Pair, time: float) -> float:
+    """Command the arm to withdraw at ``time``, and return when the job of this motion begins."""
+    return begin_withdrawal(pair, time)[1]
 
 
 def not_before(pair: Pair, time: float) -> float:
     """Command the arm to withdraw at ``time``, and return the earliest time at which this motion
     may begin."""
+    return float(begin_withdrawal(pair, time)[0].run.keywords["not_before"])
+
+
+def begin_withdrawal(pair: Pair, time: float) -> tuple[Job, float]:
     withdraw = pair.command(TapCommand.WITHDRAW, at(time))
     made = list(pair.arm.on_message("tap_command", withdraw, at(time)))
     while not (withdrawals := withdrawing(made)):
@@ -595,7 +526,7 @@ def not_before(pair: Pair, time: float) -> float:
         assert time < START + 2.0
         made += pair.arm.on_tick(at(time))
     (job,) = withdrawals
-    return float(job.run.keywords["not_before"])
+    return job, time
 
 
 def withdrawing(effects: list[Effect]) -> list[Job]:
