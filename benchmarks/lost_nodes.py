@@ -38,9 +38,6 @@ LOSSES = Mix((*("kill",) * 8, "restart", "stop service"), 8.0)
 STRUCK = (*NODES, "camera_pose")
 GOALS, SEED = 10, 41
 COST_SEEDS, COST_GOALS = range(1, 5), 5
-MIN_HOLD_S = 0.16
-"""Limit of the duration in a ``hold_still`` request, in s. A longer duration asks the arm to stand
-still; a shorter one ends the permit early."""
 
 
 def measure(count: int) -> dict[str, Any]:
@@ -98,12 +95,12 @@ class _Waits:
 
         def call(service: str, request: Any) -> None:
             on_call(service, request)
-            if service == "hold_still" and request.duration > MIN_HOLD_S:
+            if service == "hold_still":
                 self._asked = scheduler.now
 
         def answer(node: str, service: str, request: Any, response: Any) -> None:
             on_answer(node, service, request, response)
-            if service == "hold_still" and request.duration > MIN_HOLD_S:
+            if service == "hold_still":
                 self.for_answer.append(scheduler.now - self._asked)
 
         def handled(process: str, topic: str, message: Any) -> None:

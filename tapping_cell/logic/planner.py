@@ -793,10 +793,10 @@ class PlannerLogic:
             self._take_in(task, shot, seen)
             self._shot = None  # from here on, the tap's record counts
         elif shot is not None:
+            self._shot = None
             if self._exhausts(task, shot, late=True):
                 self._fail(ErrorCode.NOT_READY, GIVEN_UP, now)
                 return
-            self._shot = None
             self._keep_goal(task, now)
         # While the arm may hide a part of the table, the camera does not search for unknown
         # objects.

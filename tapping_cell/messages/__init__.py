@@ -212,7 +212,6 @@ class ArmState:
     header: Header = field(default_factory=Header)
     state: int = 0
     tap_id: int = 0
-    arm_key: int = 0
     homed: bool = False
     clear_of_camera: bool = False
     set_up: bool = False
@@ -638,7 +637,6 @@ class TapperState:
     tapper: str = ""
     tap_id: int = 0
     outcome: int = 0
-    key_digest: int = 0
     measured_speed: float = 0.0
     shots_fired: int = 0
     boot_number: int = 0
@@ -691,7 +689,6 @@ class HoldStill:
 
         tap_id: int = 0
         duration: float = 0.0
-        key: int = 0
 
     @dataclass(slots=True, kw_only=True)
     class Response:
@@ -703,7 +700,6 @@ class HoldStill:
         duration: float = 0.0
         error_code: int = 0
         error_msg: str = ""
-        arm_key: int = 0
 
 
 class ArrangeObjects:

@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -110,6 +111,11 @@ class Cell:
     def over(self) -> bool:
         return any(s.tap_id == self.tap_id and s.outcome for s in self.tapper_states)
 
+    def contested(self) -> bool:
+        """Return whether the tapper itself last reported a conflict between nodes."""
+        own = [s for s in self.tapper_states if s.tappers]
+        return bool(own) and own[-1].error_code == ErrorCode.CONFIGURATION_CONFLICT
+
     def at_rest(self) -> bool:
         resting = self.board.state in ("SAFE", "UNHOMED")
         return self.arm_states[-1].state == ArmState.IDLE and resting
@@ -202,9 +208,13 @@ def flood(cell: Cell, kind: type, topic: str, make: Callable[[], Any], qos: Any)
     finally:
         ended.set()
         thread.join()
+        cell.node.destroy_publisher(publisher)
 
 
-def test_a_hundred_foreign_messages_per_second_fire_and_move_nothing(cell: Cell) -> None:
+OWNERS = {"arm_state": "scara_arm", "tapper_state": "tapper_trigger"}
+
+
+def test_a_second_publisher_is_named_and_nothing_is_charged_fired_or_moved(cell: Cell) -> None:
     def safe(outcome: int) -> TapperState:
         return TapperState(state=TapperState.SAFE, tap_id=cell.tap_id, outcome=outcome)
 
@@ -218,15 +228,19 @@ def test_a_hundred_foreign_messages_per_second_fire_and_move_nothing(cell: Cell)
         (ArmState, "arm_state", in_position, LATCHED),
     ]
     for kind, topic, make, qos in attacks:
+        cell.tapper_states.clear()
         with flood(cell, kind, topic, make, qos):
             cell.tap()
-            cell.wait(lambda: cell.over() or cell.board.state == "CHARGED", topic)
-            cell.end()
+            cell.wait(cell.contested, f"the second publisher of {topic} is reported")
+            cell.wait(cell.at_rest, "nothing is charged and nothing moves")
+        (sentence,) = {s.error_msg for s in cell.tapper_states if topic in s.error_msg}
+        assert "/probe" in sentence and f"/{OWNERS[topic]}" in sentence
+        assert TapperState.CHARGING not in {state.state for state in cell.tapper_states}
+        count = partial(cell.node.count_publishers, topic)
+        cell.wait(lambda count=count: count() == 1, "the second publisher is gone")
+    assert cell.releases == []
     cell.fire()
-    assert cell.releases[-1] == (cell.tap_id, False)
-    shots = [shot for shot, _ in cell.releases]
-    assert len(shots) == len(set(shots))
-    assert not any(moving for _, moving in cell.releases)
+    assert cell.releases == [(cell.tap_id, False)]
     assert cell.carried == 0
 
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import pytest
-from test_permit import CELL, HEIGHT, START, STRIKE, TAP, Pair, at, board, jobs
+from test_permit import CELL, HEIGHT, START, STRIKE, TAP, Pair, at, board, jobs, messages
 
 from tapping_cell.configuration.cell import Cell
 from tapping_cell.hardware.tapper_protocol import State as BoardState
@@ -15,7 +16,7 @@ from tapping_cell.logic.effects import Call, Effect, JobEnded, RunJob
 from tapping_cell.logic.host import Activated, Configured
 from tapping_cell.logic.poses import to_message
 from tapping_cell.logic.tapper_jobs import ChargeEnd, Status
-from tapping_cell.messages import ArmState, ErrorCode, TapCommand
+from tapping_cell.messages import ArmState, ErrorCode, ObjectState, TapCommand, TapperState
 from tapping_cell.se2 import Pose
 
 
@@ -136,3 +137,59 @@ def test_a_tapper_charged_early_is_discharged_when_the_arm_aborts_the_tap() -> N
     tapper, _ = charged_while_lowered()
     tapper.on_message("arm_state", arm(ArmState.WITHDRAWING, STRIKE, START + 0.4), at(START + 0.4))
     assert tapper.state is tappers.State.DISCHARGING
+
+
+def waits(seconds: float, *, sees: str = "", height: float = HEIGHT + 0.05) -> tappers.TapperLogic:
+    """Return a tapper that was waiting for this time: the arm is silent, unless the tapper sees an
+    object of this name, far from its planned pose, while the arm travels."""
+    tapper = waiting()
+    for step in range(1, 1 + round(seconds / 0.1)):
+        steady = START + 0.1 * step
+        if sees:
+            seen = ObjectState(object_id=sees, visible=True, at_rest=True)
+            seen.pose.pose = to_message(Pose(0.1, 0.0, 0.0))
+            seen.header.stamp = to_stamp(at(steady).ros)
+            tapper.on_message("object_state", seen, at(steady))
+            travels = arm(ArmState.MOVING, STRIKE @ Pose(0.1, 0.0, 0.0), steady, height=height)
+            tapper.on_message("arm_state", travels, at(steady))
+        tapper.on_tick(at(steady))
+    return tapper
+
+
+@pytest.mark.parametrize(
+    ("sees", "code"),
+    [("", ErrorCode.ARM_SILENT), ("aluminium disk", ErrorCode.OBJECT_MOVED)],
+)
+def test_what_an_accepted_tap_waits_for_is_published_and_ends_it(sees: str, code: int) -> None:
+    def published(tapper: tappers.TapperLogic, seconds: float) -> TapperState:
+        made = tapper.on_tick(at(START + seconds))
+        return messages(made, "tapper_state")[-1]
+
+    assert published(waits(0.2, sees=sees), 0.2).error_code == ErrorCode.NONE
+    shown = published(waits(0.5, sees=sees), 0.5)
+    assert (shown.error_code, shown.outcome) == (code, TapperState.NONE)
+    ended = published(waits(tappers.LONGEST_WAIT_S + 0.5, sees=sees), 5.0)
+    assert (ended.error_code, ended.outcome) == (code, TapperState.NOT_FIRED)
+
+
+def test_an_arm_on_its_way_is_waited_for_in_peace() -> None:
+    tapper = waiting()
+    for step in range(100):
+        steady = START + 0.1 * step
+        travels = arm(ArmState.MOVING, STRIKE @ Pose(0.1, 0.0, 0.0), steady)
+        made = tapper.on_message("arm_state", travels, at(steady))
+        made = [*made, *tapper.on_tick(at(steady))]
+        assert messages(made, "tapper_state")[-1].error_code == ErrorCode.NONE
+    assert tapper.state is tappers.State.WAITING
+
+
+def test_a_tap_of_an_object_that_the_camera_does_not_know_is_refused_with_both_names() -> None:
+    tapper = waits(0.5, sees="aluminium disk")
+    tapper.on_message(
+        "tap_command", Pair().command(TapCommand.WITHDRAW, at(START + 1)), at(START + 1)
+    )
+    tap = replace(Pair().command(TapCommand.TAP, at(START + 1)), tap_id=TAP + 1, object_id="bar")
+    made = tapper.on_message("tap_command", tap, at(START + 1))
+    state = messages(made, "tapper_state")[-1]
+    assert state.error_code == ErrorCode.CONFIGURATION_CONFLICT
+    assert "'bar'" in state.error_msg and "'aluminium disk'" in state.error_msg

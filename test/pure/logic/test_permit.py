@@ -18,7 +18,6 @@ from hypothesis import strategies as st
 from logic_parts import board_reply as board
 
 from tapping_cell.configuration.cell import load_cell
-from tapping_cell.hardware.faults import FaultReason, HardwareFault
 from tapping_cell.hardware.scara import Joints
 from tapping_cell.hardware.tapper import CLOCK_TOLERANCE, FireOutcome
 from tapping_cell.hardware.tapper_protocol import LONGEST_PULSE
@@ -491,20 +490,6 @@ def test_nothing_is_promised_charged_or_fired_while_two_nodes_do_one_nodes_work(
     later = replace(again, tap_id=TAP + 2)
     pair.tapper.on_message("tap_command", later, at(START + 1.1))
     assert pair.tapper.state is tappers.State.WAITING
-
-
-def test_the_arm_is_not_released_if_the_board_is_not_known_to_be_discharged() -> None:
-    """The board may still be charged, because its line was lost."""
-    pair = Pair()
-    call = pair.begin()
-    made = pair.arm.on_request("hold_still", call.request, 1, at(START + 0.002))
-    (answer,) = [effect for effect in made if isinstance(effect, Answer)]
-    (fire,) = jobs(pair.tapper.on_answer(call.token, answer.response, at(START + 0.004)))
-    lost = HardwareFault(FaultReason.TIMEOUT, "no answer")
-    refused = (ErrorCode.TAPPER_ARM_NOT_IN_POSITION, "the arm's state is old")
-    end = FireEnd(TAP, FireOutcome.NOT_FIRED, "", refused, None, None, lost)
-    made = pair.tapper.on_job(JobEnded(fire, end), at(START + 0.1))
-    assert not [effect for effect in made if isinstance(effect, Call)]
 
 
 def leaves_at(pair: Pair, time: float) -> float:

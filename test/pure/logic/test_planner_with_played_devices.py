@@ -17,7 +17,7 @@ from virtual_node import VirtualNode
 
 from tapping_cell.configuration.cell import Cell, load_cell
 from tapping_cell.configuration.files import shared_folder
-from tapping_cell.logic.clock import Now
+from tapping_cell.logic.clock import Now, to_stamp
 from tapping_cell.logic.goal_handling import GoalHandling
 from tapping_cell.logic.planner import PlannerLogic
 from tapping_cell.logic.planner_settings import PlannerSettings
@@ -69,6 +69,7 @@ class Actors(VirtualNode):
         self.pose = START
         self.moves_when_fired = True
         self.tip = Pose(0.0, 0.0, 0.0)
+        self.object_id = "aluminium disk"
         self.visible = self.at_rest = True
         self.covariance: list[float] = COVARIANCE.reshape(-1).tolist()
         self.camera_active = self.arm_active = self.tapper_active = True
@@ -134,7 +135,7 @@ class Actors(VirtualNode):
                 visible=self.visible,
                 at_rest=self.at_rest,
                 frames_fused=30,
-                object_id="aluminium disk",
+                object_id=self.object_id,
             )
             seen.header.stamp, seen.header.frame_id = now, "table"
             seen.pose.pose = to_message(self.pose)
@@ -576,6 +577,70 @@ def test_taps_ended_by_another_program_are_reported_as_such(actors: Actors) -> N
     end = actors.end()
     assert end.error_code == ErrorCode.NOT_READY
     assert "another program" in end.error_msg and "tap_command" in end.error_msg
+
+
+def test_a_camera_that_observes_another_object_refuses_the_goal(actors: Actors) -> None:
+    actors.object_id = "brass ring"
+    results = actors.request_goal()
+    actors.wait(lambda: results, "the refusal", patience=1.0)
+    assert results[0].error_code == ErrorCode.CONFIGURATION_CONFLICT
+    assert "'brass ring'" in results[0].error_msg and "'aluminium disk'" in results[0].error_msg
+    assert not actors.taps()
+
+
+def test_a_goal_waits_while_two_nodes_do_the_work_of_one(actors: Actors) -> None:
+    logic, clock = actors.process.logic, actors.process._clock
+    sentence = "2 nodes publish arm_state (/a, /b)"
+    actors.arm_arrives = False
+    actors.send()
+    actors.until(PlanState.PLACING)
+    logic.on_conflict(sentence, clock.now())
+    actors.outcome = TapperState.NOT_FIRED
+    actors.tapper_error = (ErrorCode.CONFIGURATION_CONFLICT, sentence)
+    actors.until(PlanState.WAITING_FOR_CELL)
+    number = len(actors.taps())
+    actors.run(1.0)
+    assert len(actors.taps()) == number
+    actors.arm_arrives, actors.tapper_error = True, (0, "")
+    logic.on_conflict("", clock.now())
+    assert actors.end().state == PlanState.REACHED
+
+
+class Nudged(Actors):
+    """A person moves the object whenever a tap was commanded."""
+
+    def _on_command(self, command: TapCommand) -> None:
+        super()._on_command(command)
+        if command.request == TapCommand.TAP:
+            self.pose = self.pose @ Pose(0.004, 0.0, 0.0)
+
+
+def test_taps_that_are_given_up_are_limited_in_number() -> None:
+    actors = Nudged()
+    actors.arm_arrives = False
+    actors.send(Pose(0.06, 0.02, 0.3))
+    end = actors.end(patience=120.0)
+    assert end.state == PlanState.FAILED and end.error_code == ErrorCode.NOT_READY
+    assert "before the tap" in end.error_msg
+    assert len(actors.taps()) == FAST.late_attempts and end.taps == 0
+
+
+@pytest.mark.parametrize(("age", "replaces"), [(0.0, True), (-1.0, True), (5.0, False)])
+def test_an_older_goal_does_not_replace_a_newer_one(
+    actors: Actors, age: float, replaces: bool
+) -> None:
+    actors.send()
+    actors.until(PlanState.PLACING)
+    other = PoseStamped(pose=to_message(Pose(0.02, 0.0, 0.0)))
+    other.header.frame_id = "table"
+    # The first goal has no stamp, so it counts as sent SKEW_LIMIT_S before it was received.
+    other.header.stamp = to_stamp(actors.process._clock.now().ros - round(1e9 * age))
+    actors.publish("goal_pose", other)
+    actors.run(0.5)
+    goal = from_message(actors.plans[-1].goal.pose)
+    assert (goal.distance_to(Pose(0.02, 0.0, 0.0)) < 1e-9) == replaces
+    if not replaces:
+        assert any(state.error_code == ErrorCode.GOAL_STALE for state in actors.plans)
 
 
 def test_taps_without_effect_end_the_goal(actors: Actors) -> None:
