@@ -336,7 +336,13 @@ class ArrangementTask(Task):
         self, state: PlanState
     ) -> PositionObject.Feedback | SingleTap.Feedback | ArrangeObjects.Feedback:
         """Return the action's feedback."""
-        return ArrangeObjects.Feedback(plan_state=state, objects=self.progress())
+        return ArrangeObjects.Feedback(
+            object_id=state.object_id,
+            state=state.state,
+            taps=state.taps,
+            residual_distance=state.residual_distance,
+            residual_rotation=state.residual_rotation,
+        )
 
     def result(
         self, code: int, sentence: str, last: PlanState, seen: ObjectState | None

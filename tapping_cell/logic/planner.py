@@ -1388,7 +1388,9 @@ class PlannerLogic:
             state.planned_tap = planned.planned(by, self.goals.cell.strike_height)
         if task is not None:
             task.fill(state, pose)
-            if task.token is not None:
+            told = state.state, state.taps
+            if task.token is not None and told != task.told:
+                task.told = told
                 self._effects.append(Feedback(task.token, task.feedback(state)))
         elif self.state in FINAL:
             for name in REMEMBERED:

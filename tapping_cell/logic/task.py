@@ -183,6 +183,8 @@ class Task:
     late: int = 0
     """Consecutive taps that were not fired because a message came too late."""
     without_effect: int = 0
+    told: tuple[int, int] = (-1, -1)
+    """State and number of taps in the last feedback."""
     sent: int = 0
     """ROS time in ns; a goal with an older stamp does not replace this one."""
     free_space: object | None = None
@@ -293,7 +295,12 @@ class Task:
         self, state: PlanState
     ) -> PositionObject.Feedback | SingleTap.Feedback | ArrangeObjects.Feedback:
         """Return the action's feedback."""
-        return PositionObject.Feedback(plan_state=state)
+        return PositionObject.Feedback(
+            state=state.state,
+            taps=state.taps,
+            residual_distance=state.residual_distance,
+            residual_rotation=state.residual_rotation,
+        )
 
     def result(
         self, code: int, sentence: str, last: PlanState, seen: ObjectState | None
@@ -367,7 +374,7 @@ class SingleTapTask(Task):
         self, state: PlanState
     ) -> PositionObject.Feedback | SingleTap.Feedback | ArrangeObjects.Feedback:
         """Return the action's feedback."""
-        return SingleTap.Feedback(plan_state=state)
+        return SingleTap.Feedback(state=state.state)
 
     def result(
         self, code: int, sentence: str, last: PlanState, seen: ObjectState | None

@@ -737,8 +737,11 @@ class ArrangeObjects:
 
         ROS_TYPE: ClassVar[str] = "tapping_cell_msgs/action/ArrangeObjects.Feedback"
 
-        plan_state: PlanState = field(default_factory=PlanState)
-        objects: list[ObjectProgress] = field(default_factory=list)
+        object_id: str = ""
+        state: int = 0
+        taps: int = 0
+        residual_distance: float = 0.0
+        residual_rotation: float = 0.0
 
 
 class PositionObject:
@@ -781,7 +784,10 @@ class PositionObject:
 
         ROS_TYPE: ClassVar[str] = "tapping_cell_msgs/action/PositionObject.Feedback"
 
-        plan_state: PlanState = field(default_factory=PlanState)
+        state: int = 0
+        taps: int = 0
+        residual_distance: float = 0.0
+        residual_rotation: float = 0.0
 
 
 class SingleTap:
@@ -817,4 +823,4 @@ class SingleTap:
 
         ROS_TYPE: ClassVar[str] = "tapping_cell_msgs/action/SingleTap.Feedback"
 
-        plan_state: PlanState = field(default_factory=PlanState)
+        state: int = 0

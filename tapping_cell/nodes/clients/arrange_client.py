@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 
 from tapping_cell_msgs.action import ArrangeObjects
 from tapping_cell_msgs.msg import (
+    ArrangementState,
     ObjectProgress,
     ObjectStates,
 )
@@ -66,8 +67,11 @@ class ArrangeClient(ActionFollower[Event]):
         super().__init__(name, namespace, ArrangeObjects, "arrange_objects")
         self.poses: dict[str, Pose] = {}
         """Measured poses of the objects at rest, by name."""
-        self._taps = 0
-        self.node.create_subscription(ObjectStates, "object_states", self._on_states, LATCHED)
+        self._taps, self._accepted = 0, False
+        self._objects: tuple[ObjectEnd, ...] = ()
+        subscribe = self.node.create_subscription
+        subscribe(ObjectStates, "object_states", self._on_states, LATCHED)
+        subscribe(ArrangementState, "arrangement_state", self._on_arrangement_state, LATCHED)
 
     def missing(self, names: frozenset[str] = frozenset()) -> list[str]:
         """Return the conditions that still prevent the cell from arranging these objects, as
@@ -93,7 +97,7 @@ class ArrangeClient(ActionFollower[Event]):
             max_taps=layout.max_taps,
             time_limit=layout.time_limit,
         )
-        self._taps = 0
+        self._taps, self._objects, self._accepted = 0, (), False
         self._send_goal(message, None)
 
     def _event_of_silence(self) -> ArrangementEnded | None:
@@ -102,11 +106,15 @@ class ArrangeClient(ActionFollower[Event]):
         return None if ended is None else ArrangementEnded(ended.code, ended.sentence, self._taps)
 
     def _on_feedback(self, feedback: ArrangeObjects.Feedback) -> None:
-        plan = feedback.plan_state
-        if plan.taps > self._taps:
-            self._taps = plan.taps
-            objects = _ends(feedback.objects)
-            self._events.put(ObjectTapped(plan.taps, plan.last_tap.object_id, objects))
+        self._accepted = True  # from now on, arrangement_state is about this goal
+
+    def _on_arrangement_state(self, message: ArrangementState) -> None:
+        if self._accepted and message.active and message.taps > self._taps:
+            before, self._objects = self._objects, _ends(message.objects)
+            self._taps = message.taps
+            known = {one.name: one.taps for one in before}
+            tapped = [one.name for one in self._objects if one.taps > known.get(one.name, 0)]
+            self._events.put(ObjectTapped(message.taps, ", ".join(tapped), self._objects))
 
     def _on_result(self, result: ArrangeObjects.Result) -> None:
         self._events.put(

@@ -20,6 +20,7 @@ from tapping_cell_msgs.msg import (
 )
 from tapping_cell_msgs.srv import ConfirmTap
 
+from tapping_cell.logic.goal_watch import FINAL_STATES
 from tapping_cell.nodes.clients.action_follower import ActionFollower
 from tapping_cell.nodes.conversions import from_message, position_goal
 from tapping_cell.report.words import PHASES
@@ -86,6 +87,7 @@ class GoalClient(ActionFollower[Event]):
         self._taps_received = 0
         self._phase = ""
         self._proposed = 0
+        self._accepted = False
         self._confirm = self.node.create_client(ConfirmTap, "confirm_tap")
         subscribe = self.node.create_subscription
         subscribe(ObjectState, "object_state", self.keeper("object_state"), 10)
@@ -131,6 +133,7 @@ class GoalClient(ActionFollower[Event]):
         message = position_goal(goal, tolerance, stamp)
         message.probe, message.ask = probe, ask
         self._taps_received, self._phase, self._proposed = 0, "", 0
+        self._accepted = False
         self._send_goal(message, goal)
 
     def confirm(self, tap_id: int, confirm: bool, patience: float = 5.0) -> ConfirmTap.Response:
@@ -178,8 +181,9 @@ class GoalClient(ActionFollower[Event]):
 
     def _on_plan_state(self, message: PlanState) -> None:
         super()._on_plan_state(message)
-        if self._watch is not None and self._watch.gone:
-            # A planner that has resumed the goal sends no feedback, so follow its state instead.
+        # A planner that has resumed the goal sends no feedback.
+        resumed = self._watch is not None and self._watch.gone
+        if (self._accepted or resumed) and message.state not in (PlanState.IDLE, *FINAL_STATES):
             self._follow(message)
 
     def _on_ground_truth(self, message: PoseStamped) -> None:
@@ -187,7 +191,7 @@ class GoalClient(ActionFollower[Event]):
         self._true_pose_received = time.monotonic()
 
     def _on_feedback(self, feedback: PositionObject.Feedback) -> None:
-        self._follow(feedback.plan_state)
+        self._accepted = True  # from now on, plan_state is about this goal
 
     def _follow(self, state: PlanState) -> None:
         self._receive(state.last_tap, state)
