@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
+import http.client
+import json
+import resource
+import socket
 import subprocess
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from typing import Any
 
 import pytest
@@ -28,12 +34,14 @@ def wait(condition: Callable[[], object], what: str) -> None:
 
 
 @contextmanager
-def link() -> Iterator[tuple[StopLink, list[tuple[bool, str]]]]:
+def link(
+    sockets: list[socket.socket] | None = None,
+) -> Iterator[tuple[StopLink, list[tuple[bool, str]]]]:
     """Serve STOP; yield the link and the reported levels."""
     levels: list[tuple[bool, str]] = []
     made = StopLink(
         Guard.make("127.0.0.1", (), ""),
-        server.bind("127.0.0.1", 0),
+        server.bind("127.0.0.1", 0) if sockets is None else sockets,
         PAGE_PORT,
         "/",
         "/emergency_stop",
@@ -100,3 +108,27 @@ def test_log_messages_of_ros_on_standard_output_are_not_read_as_reports(
     with link() as (made, levels):
         stops(made, levels)
     assert "ROS_LOCALHOST_ONLY is deprecated" in capfd.readouterr().err
+
+
+@pytest.mark.parametrize("files", [64, 256])
+def test_stop_is_answered_within_a_low_limit_of_open_files(
+    files: int, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    def start(*arguments: Any, **options: Any) -> Any:
+        limit = partial(resource.setrlimit, resource.RLIMIT_NOFILE, (files, files))
+        return real(*arguments, preexec_fn=limit, **options)
+
+    real = subprocess.Popen
+    monkeypatch.setattr(stop_link.subprocess, "Popen", start)
+    sockets = server.bind("127.0.0.1", 0)
+    port = sockets[0].getsockname()[1]
+    body = json.dumps({"do": "stop"})
+    with link(sockets) as (made, levels), contextlib.ExitStack() as stack:
+        wait(made.ready.is_set, "STOP is served")
+        for _ in range(300):
+            stack.enter_context(socket.create_connection(("127.0.0.1", port)))
+        page = http.client.HTTPConnection("127.0.0.1", port, timeout=TIMEOUT_S)
+        page.request("POST", "/", body, {"Origin": f"http://127.0.0.1:{PAGE_PORT}"})
+        assert page.getresponse().status == 200
+        wait(lambda: levels, "the stop is reported")
+    assert f"the limit of {files} open files" in capfd.readouterr().err

@@ -15,6 +15,7 @@ import os
 import signal
 import socket
 import sys
+from collections.abc import Callable
 from typing import Any
 
 import rclpy
@@ -24,7 +25,12 @@ from std_msgs.msg import Bool
 from tapping_cell.nodes import security
 from tapping_cell.nodes.cell_node import LATCHED, choose_transport
 from tapping_cell.nodes.page.guard import Guard
-from tapping_cell.nodes.page.stop_server import StopLevel, StopServer
+from tapping_cell.nodes.page.stop_server import (
+    MAX_CONNECTIONS,
+    StopLevel,
+    StopServer,
+    connections_within_limit,
+)
 
 NODE = "operator_page_stop"
 
@@ -51,14 +57,19 @@ def main() -> int:
     )
     publisher = node.create_publisher(Bool, configuration["topic"], LATCHED)
     try:
-        asyncio.run(_serve(configuration, lambda held: publisher.publish(Bool(data=held)), reports))
+        warn = node.get_logger().warning
+        asyncio.run(
+            _serve(configuration, lambda held: publisher.publish(Bool(data=held)), reports, warn)
+        )
     finally:
         node.destroy_node()
         rclpy.try_shutdown()
     return 0
 
 
-async def _serve(configuration: dict[str, Any], publish: Any, output: int) -> None:
+async def _serve(
+    configuration: dict[str, Any], publish: Any, output: int, warn: Callable[[str], object]
+) -> None:
     loop = asyncio.get_running_loop()
 
     def report(held: bool, who: str) -> None:
@@ -70,7 +81,14 @@ async def _serve(configuration: dict[str, Any], publish: Any, output: int) -> No
 
     os.set_blocking(output, False)
     level = StopLevel(publish, report, configuration["held"])
-    server = StopServer.make(level, Guard(**configuration["guard"]), configuration["page_port"])
+    connections, limit = connections_within_limit(len(os.listdir("/proc/self/fd")))
+    if connections < MAX_CONNECTIONS:
+        warn(
+            f"the limit of {limit} open files allows only {connections} connections to STOP at once"
+            f" instead of {MAX_CONNECTIONS}; raise it (ulimit -n 1024, LimitNOFILE= of systemd)"
+        )
+    guard, port = Guard(**configuration["guard"]), configuration["page_port"]
+    server = StopServer.make(level, guard, port, connections)
     server.add_sockets([socket.socket(fileno=number) for number in configuration["sockets"]])
     report(level.held, "")  # ready
     requests = asyncio.StreamReader()

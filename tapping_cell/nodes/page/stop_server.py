@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import resource
 import time
 from collections.abc import Callable
 from functools import partial
@@ -26,10 +27,26 @@ from tapping_cell.nodes.page.guard import Guard
 
 LONGEST_BODY = 1024
 MAX_CONNECTIONS = 256
+SPARE_FILES = 16
+"""Files that the process may open besides the connections, for example to accept one more."""
 REPEAT_PERIOD_S = 0.02
 """Minimum time (s) from a published stop or release to the next published stop. All stops that
 arrive earlier are published together, as one stop, at the end of this time."""
 SLOW_ANSWER_S = 0.1
+
+
+def connections_within_limit(open_files: int) -> tuple[int, int]:
+    """Raise the process's limit of open files as far as needed and allowed. Return how many
+    connections fit into it, and the limit.
+
+    ``open_files``: number of files that the process has open now.
+    """
+    limit, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+    wanted = open_files + SPARE_FILES + MAX_CONNECTIONS
+    if limit < wanted:
+        limit = wanted if most == resource.RLIM_INFINITY else min(wanted, most)
+        resource.setrlimit(resource.RLIMIT_NOFILE, (limit, most))
+    return max(1, min(MAX_CONNECTIONS, limit - open_files - SPARE_FILES)), limit
 
 
 class StopLevel:
@@ -143,6 +160,7 @@ class StopServer(HTTPServer):
     level: StopLevel
     guard: Guard
     page_port: int
+    connections: int
 
     def initialize(self, *arguments: Any, **options: Any) -> None:
         """Initialise without connections."""
@@ -151,9 +169,12 @@ class StopServer(HTTPServer):
         self._admitted: list[IOStream] = []
 
     @classmethod
-    def make(cls, level: StopLevel, guard: Guard, page_port: int) -> StopServer:
+    def make(
+        cls, level: StopLevel, guard: Guard, page_port: int, connections: int = MAX_CONNECTIONS
+    ) -> StopServer:
         """Return a server for ``level``. The server accepts requests of pages that are served at
-        ``page_port``, if the requests meet the requirements of ``guard``."""
+        ``page_port``, if the requests meet the requirements of ``guard``, on at most
+        ``connections`` connections at once."""
         application = Application(log_function=lambda _: None)
         made = cls(
             application,
@@ -163,13 +184,14 @@ class StopServer(HTTPServer):
             body_timeout=2.0,
         )
         made.level, made.guard, made.page_port = level, guard, page_port
+        made.connections = connections
         application.add_handlers(".*", [("/", StopHandler, {"server": made})])
         return made
 
     def handle_stream(self, stream: IOStream, address: tuple[Any, ...]) -> None:
         """Accept a new connection."""
         self._forget_closed()
-        while len(self._streams) + len(self._admitted) >= MAX_CONNECTIONS:
+        while len(self._streams) + len(self._admitted) >= self.connections:
             (self._streams or self._admitted).pop(0).close()
         self._streams.append(stream)
         super().handle_stream(stream, address)
