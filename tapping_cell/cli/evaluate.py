@@ -475,7 +475,7 @@ def _settings(arguments: argparse.Namespace) -> PlannerSettings:
 
 def _fitted(settings: PlannerSettings, tap: Tap) -> PlannerSettings:
     """Return the settings with the cone and the smallest tap of this tap's mechanics."""
-    fitted = PlannerSettings.for_tap(tap)
+    fitted = PlannerSettings.for_tap(tap, settings.camera)
     return replace(
         settings, cone_slope=fitted.cone_slope, smallest_distance=fitted.smallest_distance
     )
