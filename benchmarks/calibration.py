@@ -22,11 +22,11 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from single_taps import Design, simulated_experiment
 
 from tapping_cell.calibration.experiment import StrikerSection
 from tapping_cell.calibration.object_file import fit_record, fitted_object
 from tapping_cell.calibration.object_fit import fit_object, predict
+from tapping_cell.cli.simulated_single_taps import Design, simulated_experiment
 from tapping_cell.configuration.files import shared_folder
 from tapping_cell.configuration.objects import MarkerSection, ObjectFile, ShapeSection, load_object
 from tapping_cell.planning import CameraNoise, PlannerSettings, Scatter
