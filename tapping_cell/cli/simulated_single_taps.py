@@ -185,7 +185,7 @@ class _Bench:
         sample, turn = self._design.track_noise
         seen += self._random.standard_normal(seen.shape) * [sample, sample, turn]
         known = np.ones(len(times))
-        theta: Array = np.unwrap(seen[:, 2])
+        theta: Array = np.unwrap(seen[:, 2]).astype(float)
         return Track(
             np.array(times), seen[:, 0], seen[:, 1], theta, sample * known, turn * known
         ), world.pose

@@ -122,7 +122,7 @@ def draw_changes(steps: Sequence[tuple[str, Mapping[str, Any]]], path: Path) -> 
     axis.barh(places, means, color=REST, xerr=_errors([figures for _, figures in steps]))
     for place, mean, (_, figures) in zip(places, means, steps, strict=True):
         inside = 100.0 * figures["truly_inside_rate"]
-        axis.text(mean + 0.15, place, f"{mean:.2f}; {inside:.1f} % inside", va="center", fontsize=9)
+        axis.text(mean + 0.3, place, f"{mean:.2f}; {inside:.1f} % inside", va="center", fontsize=9)
     axis.axvspan(4.8, 5.2, color=STRIKE, alpha=0.2, lw=0, label="paper: about 5 taps")
     axis.set_yticks(places, [name for name, _ in steps])
     axis.invert_yaxis()
