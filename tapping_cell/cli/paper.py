@@ -373,8 +373,8 @@ def _positioning_rows(results: Mapping[str, Mapping[str, Any]]) -> list[Row]:
         taps("exact, if a tap need only reach the tolerance", "5 or fewer", "this reading of \"the "
              "goal can be reached in one tap\" removes most of the difference",
              name="exact, tolerant"),
-        taps("conservative, if a tap need only reach the tolerance", "about 5", "larger excursions "
-             "no longer pay, and the methods are nearly equal", name="conservative, tolerant"),
+        taps("conservative, if a tap need only reach the tolerance", "about 5", "the larger "
+             "excursions hardly pay, and the methods are nearly equal", name="conservative, tolerant"),
         Row(section, f"series of {SMALL_SERIES} runs in which exact is as good as conservative",
             "%", "exact was slightly better", better, better, better,
             "the scatter of ten runs is larger than the difference of the methods",
@@ -389,7 +389,7 @@ def _positioning_rows(results: Mapping[str, Mapping[str, Any]]) -> list[Row]:
         taps("multi: mean taps", "5 in almost every run", "here a tap may skip cones if it is "
              "lucky; the paper's plan does not attempt less than five", name="multi"),
         taps("exact with 0.7 mm and 0.8 degrees as standard deviations", "5 or fewer",
-             "contradicts the paper, so its accuracy cannot be a standard deviation",
+             "contradicts the paper, so its accuracy is hardly a standard deviation",
              name="camera 1, model 10 %"),
         taps("this cell (optimal)", "-", "better camera, learning, other stopping rule and method: "
              "see \"From the paper's cell to this one\"", name="+ optimal: this cell"),

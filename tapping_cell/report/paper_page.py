@@ -42,7 +42,8 @@ class Row:
     def here(self) -> str:
         """The number here and its interval as text."""
         text = f"{self.value:.3g} {self.unit}".strip()
-        return text if self.low == self.high else f"{text} ({self.low:.3g} to {self.high:.3g})"
+        unbroken = f"({self.low:.3g}\u00a0to\u00a0{self.high:.3g})"
+        return text if self.low == self.high else f"{text} {unbroken}"
 
 
 def write_page(
