@@ -658,23 +658,24 @@ def _compare(arguments: argparse.Namespace) -> int:
 
     compared = methods(arguments.planner)
     rows: dict[str, dict[str, Any]] = {}
-    taps = {}
+    trials = {}
     for method in compared:
         chosen = argparse.Namespace(**vars(arguments))
         chosen.planner = method.planner
         chosen.variant = method.variant
         chosen.error_line = method.error_line
-        rows[method.label], results = _measure(chosen, make_evaluation(chosen, method.planner))
-        taps[method.label] = results.taps
+        label = method.label
+        rows[label], trials[label] = _measure(chosen, make_evaluation(chosen, method.planner))
     reference = next(
         method.label for method in reversed(compared) if method.planner == arguments.planner
     )
     for label, figures in rows.items():
         # Every method has the same tasks and the same true gains in the same order of trials.
-        figures["more_taps"] = {"than": reference, **mean_of(taps[label] - taps[reference])}
+        more = trials[label].taps - trials[reference].taps
+        figures["more_taps"] = {"than": reference, **mean_of(more)}
     if arguments.report is not None:
         write_comparison(
-            arguments.report, rows, _settings(arguments), tuple(arguments.goal), compared
+            arguments.report, rows, trials, _settings(arguments), tuple(arguments.goal), compared
         )
     if arguments.json:
         print(json.dumps(rows, indent=2))

@@ -374,7 +374,8 @@ def _positioning_rows(results: Mapping[str, Mapping[str, Any]]) -> list[Row]:
              "goal can be reached in one tap\" removes most of the difference",
              name="exact, tolerant"),
         taps("conservative, if a tap need only reach the tolerance", "about 5", "the larger "
-             "excursions hardly pay, and the methods are nearly equal", name="conservative, tolerant"),
+             "excursions hardly pay, and the methods are nearly equal",
+             name="conservative, tolerant"),
         Row(section, f"series of {SMALL_SERIES} runs in which exact is as good as conservative",
             "%", "exact was slightly better", better, better, better,
             "the scatter of ten runs is larger than the difference of the methods",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import math
 from dataclasses import dataclass, replace
@@ -14,6 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from tapping_cell.planning import Planner, PlannerSettings, planner_names
+from tapping_cell.planning.evaluation.task import End, Results
 from tapping_cell.planning.interface import Array
 from tapping_cell.planning.multi import MultiPlanner
 from tapping_cell.planning.registry import load_planner
@@ -22,6 +24,17 @@ from tapping_cell.report.palette import REST, STRIKE
 FAN_RUNS = 60
 FAN_SEED = 1
 Goal = tuple[float, float, float]
+TRIAL_COLUMNS = (
+    "method",
+    "trial",
+    "taps",
+    "end",
+    "inside",
+    "distance_mm",
+    "rotation_deg",
+    "seconds",
+)
+"""Columns of ``trials.csv`` (docs/planning.md)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,19 +103,40 @@ def comparison_table(rows: dict[str, dict[str, Any]]) -> str:
 def write_comparison(
     folder: Path,
     rows: dict[str, dict[str, Any]],
+    trials: dict[str, Results],
     settings: PlannerSettings,
     goal: Goal,
     compared: tuple[Method, ...],
 ) -> None:
-    """Write ``comparison.md``, ``comparison.json`` and the plots; create the folder if missing."""
+    """Write ``comparison.md``, ``comparison.json``, ``trials.csv`` and the plots; create the folder
+    if missing."""
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "comparison.md").write_text(comparison_table(rows) + "\n", encoding="utf-8")
     (folder / "comparison.json").write_text(json.dumps(rows, indent=2) + "\n", encoding="utf-8")
+    _write_trials(trials, folder / "trials.csv")
     draw_histograms(rows, folder / "planning_taps.png")
     draw_success(rows, folder / "planning_success.png")
     draw_differences(rows, folder / "planning_differences.png")
     draw_cones(settings, goal, compared, folder / "planning_cones.png")
     draw_fans(settings, goal, compared, folder / "planning_fans.png")
+
+
+def _write_trials(trials: dict[str, Results], path: Path) -> None:
+    """Write one row for each trial of each method."""
+    with path.open("w", newline="", encoding="utf-8") as stream:
+        table = csv.writer(stream)
+        table.writerow(TRIAL_COLUMNS)
+        for label, results in trials.items():
+            columns = (
+                results.taps,
+                (End(code).name.lower() for code in results.end.tolist()),
+                results.inside,
+                1e3 * results.distance,
+                np.degrees(results.rotation),
+                results.seconds,
+            )
+            for number, row in enumerate(zip(*columns, strict=True)):
+                table.writerow([label, number, *row])
 
 
 def draw_histograms(rows: dict[str, dict[str, Any]], path: Path) -> None:

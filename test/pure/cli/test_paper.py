@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import csv
+import json
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tapping_cell.cli import paper
+from tapping_cell.cli import paper, sweep
 from tapping_cell.planning import CameraNoise, PlannerSettings
 
 TRIALS = 100
@@ -71,14 +72,41 @@ def test_each_number_is_within_its_interval_and_explained(folder):
     assert page.count("<figure>") == 10 and "3.64" in page
 
 
-def test_an_interrupted_run_continues_with_the_missing_experiments(folder, monkeypatch):
+def test_an_interrupted_run_continues_with_the_missing_experiments(folder, tmp_path, monkeypatch):
+    lines = (folder / sweep.POINTS).read_text(encoding="utf-8").splitlines(keepends=True)
+    cut = "".join(lines[:-2]) + lines[-2][:40]
+    (tmp_path / sweep.POINTS).write_text(cut, encoding="utf-8")
     measured = []
-    monkeypatch.setattr(paper.evaluate, "measure", lambda *_: measured.append(1) or {"taps": {}})
-    (points,) = folder.glob("*.jsonl")
-    lines = points.read_text(encoding="utf-8").splitlines(keepends=True)
-    points.write_text("".join(lines[:-2]) + lines[-2][:40], encoding="utf-8")
-    paper.experiments(folder, TRIALS, processes=1)
-    assert len(measured) == 2
+    monkeypatch.setattr(paper, "measure_one", lambda *values: measured.append(values[-1]) or {})
+    paper.experiments(tmp_path, TRIALS, processes=1)
+    assert measured == [json.loads(line)["point"] for line in lines[-2:]]
+
+
+def test_the_ros_cell_continues_its_series_and_has_its_own_rows(folder, monkeypatch):
+    """The verbs are played; test/graph starts the cells that they use."""
+    called = []
+    disk = {"estimates": {"torque_factor": {"value": 3.4, "low": 3.2, "high": 3.5}}}
+
+    def play(*words):
+        called.append(words)
+        if words[0] == "single-tap":
+            (folder / "graph" / "single-tap_1").mkdir(exist_ok=True)
+        if words[0] == "demo":
+            return json.dumps({"taps": int(words[words.index("--seed") + 1]) % 2 + 2})
+        return json.dumps(disk)
+
+    monkeypatch.setattr(paper, "_verb", play)
+    with monkeypatch.context() as failing:
+        failing.setattr(paper, "_graph_goal", lambda *_: 1 / 0)
+        with pytest.raises(ZeroDivisionError):
+            paper.experiments(folder, TRIALS, processes=1, graph=True)
+    results = paper.experiments(folder, TRIALS, processes=1, graph=True)
+    verbs = [words[0] for words in called]
+    assert verbs.count("single-tap") == verbs.count("fit") == 1
+    assert verbs.count("demo") == len(paper.GRAPH_METHODS) * len(paper.GRAPH_SEEDS)
+    rows = {row.quantity: row for row in paper.rows_of(results) if "ROS" in row.section}
+    assert rows["torque factor, aluminium disk"].here == "3.4 (3.2\u00a0to\u00a03.5)"
+    assert rows["multi"].value == 2.6 and rows["multi"].low < 2.6 < rows["multi"].high
 
 
 @given(distance=st.floats(0.0, 0.3), rotation=st.floats(-np.pi, np.pi))

@@ -1,4 +1,5 @@
 import argparse
+import csv
 import json
 import math
 import shutil
@@ -169,6 +170,11 @@ def test_the_report_compares_a_class_of_the_user_with_all_methods(capsys, tmp_pa
         assert more["than"] == own and more["mean"] == pytest.approx(difference)
         assert (low == high == 0.0) if label == own else low < more["mean"] < high
     assert rows["optimal"]["more_taps"]["mean_interval"][1] < 0.0
+    with (folder / "trials.csv").open(encoding="utf-8") as stream:
+        trials = [row for row in csv.DictReader(stream) if row["method"] == own]
+    assert np.mean([int(row["taps"]) for row in trials]) == rows[own]["taps"]["mean"]
+    assert {row["end"] for row in trials} == {"done"} and len(trials) == 200
+    assert max(abs(float(row["rotation_deg"])) for row in trials) <= 1.0
     for name in (
         "comparison.md",
         "comparison.json",
