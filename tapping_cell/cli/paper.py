@@ -503,7 +503,7 @@ def write(folder: Path, results: Mapping[str, Mapping[str, Any]]) -> Path:
         ("Which camera, scatter and model errors give five taps", [(files["causes"], "Taps of "
           "exact (retreat, stops when the measured error is inside the tolerance; scatter 5 % and "
           "15 %). The paper's accuracy is 0.7 mm.")]),
-        ("Exact and conservative", [(files["planners"], "In the paper's cell, for two meanings of "
+        ("Exact and conservative, and the rounded striker", [(files["planners"], "In the paper's cell, for two meanings of "
           "\"the goal can be reached in one tap\"."),
           (files["rounding"], "Rounding adds about as many taps in both cells.")]),
         ("Figure 3: displacements and initial velocities", [(disk / RUNS, "Aluminium disk, 4 runs "
@@ -511,9 +511,10 @@ def write(folder: Path, results: Mapping[str, Mapping[str, Any]]) -> Path:
           "prediction from the striker.")]),
         ("Figure 4: velocity profiles", [(disk / PROFILES, "Two taps, with the prediction from "
           "their displacement; dashed without a torque factor.")]),
-        ("Figures 5 and 6: subgoals and runs", [(files["cones"], "Cones and first subgoals."),
-          (files["fans"], "Sixty runs of each method; the rectangle is the stopping box.")]),
-        ("Mechanics", [(cone, "Reachable cone of one tap."),
-                       (velocities, "Velocities during a slide.")]),
+        ("Figures 5 and 6: subgoals", [(files["cones"], "Cones and first subgoals.")]),
+        ("Figures 5 and 6: runs", [(files["fans"], "Sixty runs of each method; the rectangle is "
+          "the stopping box.")]),
+        ("Reachable cone and norm of the Jacobian", [(cone, "Reachable cone of one tap.")]),
+        ("Velocities during a slide", [(velocities, "Model of the sliding disk.")]),
     )  # fmt: skip
     return paper_page.write_page(folder, rows_of(results), shown)

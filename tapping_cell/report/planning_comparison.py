@@ -131,9 +131,14 @@ def _write_trials(trials: dict[str, Results], path: Path) -> None:
                 results.taps,
                 (End(code).name.lower() for code in results.end.tolist()),
                 results.inside,
-                1e3 * results.distance,
-                np.degrees(results.rotation),
-                results.seconds,
+                *(
+                    (f"{value:.6g}" for value in values.tolist())
+                    for values in (
+                        1e3 * results.distance,
+                        np.degrees(results.rotation),
+                        results.seconds,
+                    )
+                ),
             )
             for number, row in enumerate(zip(*columns, strict=True)):
                 table.writerow([label, number, *row])
