@@ -22,14 +22,14 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from single_taps import Design, simulated_experiment
 
 from tapping_cell.calibration.experiment import StrikerSection
 from tapping_cell.calibration.object_file import fit_record, fitted_object
 from tapping_cell.calibration.object_fit import fit_object, predict
+from tapping_cell.cli.simulated_single_taps import Design, simulated_experiment
 from tapping_cell.configuration.files import shared_folder
 from tapping_cell.configuration.objects import MarkerSection, ObjectFile, ShapeSection, load_object
-from tapping_cell.planning import PlannerSettings, Scatter
+from tapping_cell.planning import CameraNoise, PlannerSettings, Scatter
 from tapping_cell.planning.evaluation import Evaluation, PhysicsWorld, evaluate, summarise
 from tapping_cell.simulation.truth import ImpactTruth, ScatterTruth, SupportTruth, TruthFile
 
@@ -249,7 +249,7 @@ def _mean_taps(assumed: ObjectFile, true: ObjectFile, trials: int) -> float:
     the maximum number of taps."""
     striker = _STRIKER.striker()
     scatter = Scatter(0.05, 0.15, math.radians(1.0))
-    settings = replace(PlannerSettings.for_tap(assumed.tap(striker)), scatter=scatter)
+    settings = PlannerSettings.for_tap(assumed.tap(striker), CameraNoise(), scatter=scatter)
     world = PhysicsWorld(
         model=replace(assumed.tap(striker), smallest_distance=0.0),
         truth=true.tap(striker),

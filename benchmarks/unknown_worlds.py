@@ -110,7 +110,7 @@ def run_world(truth: TruthFile, goals: int, seed: int, probe: bool = False) -> R
     """Run goals in one world. Before each goal, the planner forgets what it has learnt."""
     cell = load_cell()
     tap = make_tap(cell)
-    settings = replace(PlannerSettings.for_tap(tap), camera=CAMERA)
+    settings = PlannerSettings.for_tap(tap, CAMERA)
     evaluation = Evaluation(
         planner="optimal",
         settings=settings,

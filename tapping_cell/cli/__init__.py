@@ -32,6 +32,7 @@ VERBS = {
     "stop": "stop a running cell immediately",
     "clear": "clear the stop and the faults of a running cell",
     "evaluate": "evaluate a planning method in many simulated trials",
+    "paper": "repeat the experiments of the paper and compare the numbers",
     "single-tap": "measure an object with an experiment of single taps",
     "fit": "fit friction and impact of an object to records of single taps",
     "new-object": "create an object file from an image of the object",

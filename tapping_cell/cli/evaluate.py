@@ -66,12 +66,15 @@ from tapping_cell.planning import FreeSpace, PlannerSettings, PlanningError, mak
 from tapping_cell.planning.evaluation import (
     Evaluation,
     PhysicsWorld,
+    Results,
     arrangements,
     evaluate,
     summarise,
 )
+from tapping_cell.planning.evaluation.summary import mean_of
 from tapping_cell.planning.evaluation.worlds import World
 from tapping_cell.planning.multi import MultiPlanner
+from tapping_cell.planning.registry import load_planner
 from tapping_cell.planning.settings import Scatter
 from tapping_cell.planning.strike import StrikeSpace
 from tapping_cell.simulation.tap_trials import SimulatedTaps
@@ -83,14 +86,15 @@ DEFAULT_TASKS = (40.0, 20.0)
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the verb."""
-    methods = parser.add_mutually_exclusive_group()
-    methods.add_argument(
+    parser.add_argument(
         "--planner",
         default="optimal",
         metavar="P",
-        help="planning method (default: optimal)",
+        help="planning method: a name, or module:Class for a class of yours (default: optimal)",
     )
-    methods.add_argument("--all", action="store_true", help="compare all planning methods")
+    parser.add_argument(
+        "--all", action="store_true", help="compare all planning methods with that of --planner"
+    )
     parser.add_argument(
         "--trials", type=int, default=2000, metavar="N", help="number of trials (default: 2000)"
     )
@@ -435,8 +439,14 @@ def make_evaluation(arguments: argparse.Namespace, planner: str) -> Evaluation:
 
 def measure(arguments: argparse.Namespace, evaluation: Evaluation) -> dict[str, Any]:
     """Run one evaluation. Return the results, the inputs, and the number of trials per second."""
+    return _measure(arguments, evaluation)[0]
+
+
+def _measure(
+    arguments: argparse.Namespace, evaluation: Evaluation
+) -> tuple[dict[str, Any], Results]:
     began = time.perf_counter()
-    planner = make_planner(evaluation.planner, evaluation.settings)
+    planner = load_planner(evaluation.planner, evaluation.settings)
     solved = time.perf_counter() - began
     with progress(arguments, evaluation.planner, evaluation.trials) as note:
         began = time.perf_counter()
@@ -456,7 +466,7 @@ def measure(arguments: argparse.Namespace, evaluation: Evaluation) -> dict[str, 
     figures["solving_s"] = solved
     figures["trials_per_second"] = evaluation.trials / elapsed
     figures["inputs"] = inputs_of(arguments, "sweep", "cluster")
-    return figures
+    return figures, results
 
 
 def _settings(arguments: argparse.Namespace) -> PlannerSettings:
@@ -475,7 +485,7 @@ def _settings(arguments: argparse.Namespace) -> PlannerSettings:
 
 def _fitted(settings: PlannerSettings, tap: Tap) -> PlannerSettings:
     """Return the settings with the cone and the smallest tap of this tap's mechanics."""
-    fitted = PlannerSettings.for_tap(tap)
+    fitted = PlannerSettings.for_tap(tap, settings.camera)
     return replace(
         settings, cone_slope=fitted.cone_slope, smallest_distance=fitted.smallest_distance
     )
@@ -646,15 +656,27 @@ def _measure_point(arguments: argparse.Namespace, point: sweep.Point) -> dict[st
 def _compare(arguments: argparse.Namespace) -> int:
     from tapping_cell.report.planning_comparison import comparison_table, methods, write_comparison
 
+    compared = methods(arguments.planner)
     rows: dict[str, dict[str, Any]] = {}
-    for method in methods():
+    trials = {}
+    for method in compared:
         chosen = argparse.Namespace(**vars(arguments))
         chosen.planner = method.planner
         chosen.variant = method.variant
         chosen.error_line = method.error_line
-        rows[method.label] = measure(chosen, make_evaluation(chosen, method.planner))
+        label = method.label
+        rows[label], trials[label] = _measure(chosen, make_evaluation(chosen, method.planner))
+    reference = next(
+        method.label for method in reversed(compared) if method.planner == arguments.planner
+    )
+    for label, figures in rows.items():
+        # Every method has the same tasks and the same true gains in the same order of trials.
+        more = trials[label].taps - trials[reference].taps
+        figures["more_taps"] = {"than": reference, **mean_of(more)}
     if arguments.report is not None:
-        write_comparison(arguments.report, rows, _settings(arguments), tuple(arguments.goal))
+        write_comparison(
+            arguments.report, rows, trials, _settings(arguments), tuple(arguments.goal), compared
+        )
     if arguments.json:
         print(json.dumps(rows, indent=2))
     else:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from tapping_cell.configuration.cell import Cell
 from tapping_cell.hardware.scara import Branch
@@ -15,12 +16,16 @@ from tapping_cell.planning import (
     CircleArea,
     PlannerSettings,
     PolygonArea,
+    PositioningSession,
     Scatter,
     StrikeSettings,
     StrikeSpace,
     Workspace,
+    make_planner,
 )
+from tapping_cell.planning.fixed_session import FixedTapperSession
 from tapping_cell.planning.fixed_tappers import FixedStrikeSpace, FixedTapper, WorkingArea
+from tapping_cell.planning.session import GoalSession
 from tapping_cell.se2 import Array, Pose, compose
 
 
@@ -154,3 +159,27 @@ def make_planner_settings(
         tolerance_position=tolerance[0],
         tolerance_angle=tolerance[1],
     )
+
+
+def make_session(
+    cell: Cell,
+    goal: ArrayLike,
+    *,
+    tolerance: tuple[float, float] | None = None,
+    planner: str = "",
+    camera: CameraNoise | None = None,
+) -> GoalSession:
+    """Create the closed loop of one goal: x, y (m), theta (rad) of the object in `table`.
+
+    ``tolerance`` (m and rad), ``planner`` and ``camera`` replace the values of the cell file.
+    Create one session for each goal. For many goals, create the parts once
+    (``PositioningSession``), because the map of the table takes about 0.1 s.
+
+    Raises:
+        tapping_cell.planning.PlanningError: the planning method is unknown.
+    """
+    settings = make_planner_settings(cell, tolerance or cell.tolerance, camera=camera)
+    if cell.file.fixed_tappers is not None:
+        return FixedTapperSession(goal, settings, make_fixed_space(cell))
+    method = make_planner(planner or cell.file.goal.planner, settings)
+    return PositioningSession(goal, method, make_strike_space(cell))

@@ -1,13 +1,11 @@
 """Planning: choice of the next tap, learning from taps, strikes, and evaluation of the methods.
 
-Example::
+The closed loop of a cell (docs/planning.md)::
 
-    planner = make_planner("exact", PlannerSettings(cone_slope=tap.cone_slope))
-    space = StrikeSpace(tap, Workspace(), arm_reach)
-    session = PositioningSession(goal_pose, planner, space)
-    decision = session.decide(object_pose, covariance)  # Done, Strike or Refusal
-    ...  # fire decision.plan, measure the pose again
-    session.observe(decision, object_pose, pose_after)
+    session = tapping_cell.configuration.assembly.make_session(cell, goal)
+    for decision in session.decisions(observe):  # Strike, ObserveAgain; at last Done or Refusal
+        if isinstance(decision, Strike):
+            ...  # fire decision.plan
 """
 
 from tapping_cell.planning.errors import PlanningError, UnknownPlannerError

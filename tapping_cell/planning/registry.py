@@ -72,18 +72,35 @@ def make_planner(
         return OptimalPlanner(settings, background=background)
     if name in BUILT_IN:
         return BUILT_IN[name](settings)
-    registered = _registered()
+    return _created(_registered()[name], settings)
+
+
+def load_planner(name: str, settings: PlannerSettings) -> Planner:
+    """Create a planning method for trials: one of ``planner_names()`` or ``module:Class``.
+
+    The cell itself uses only ``make_planner``, because a name that arrives on a topic must not
+    import a module.
+
+    Raises:
+        UnknownPlannerError: unknown name; the message lists the names.
+        PlanningError: the class cannot be loaded or is not a ``Planner``.
+    """
+    if ":" not in name:
+        return make_planner(name, settings)
+    return _created(EntryPoint(name, name, ENTRY_POINT_GROUP), settings)
+
+
+def _created(point: EntryPoint, settings: PlannerSettings) -> Planner:
     try:
-        planner = registered[name].load()(settings)
+        planner = point.load()(settings)
     # a plug-in may raise any exception; it is reported as a PlanningError
     except Exception as error:
         raise PlanningError(
-            f"the registered planning method {name!r} ({registered[name].value}) cannot be "
-            f"created: {error}"
+            f"the planning method {point.name!r} ({point.value}) cannot be created: {error}"
         ) from error
     if not isinstance(planner, Planner):
         raise PlanningError(
-            f"the registered planning method {name!r} ({registered[name].value}) returned a "
+            f"the planning method {point.name!r} ({point.value}) returned a "
             f"{type(planner).__name__}, which lacks name, settings, choose or taps_to_go"
         )
     return planner

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -19,7 +20,7 @@ from tapping_cell.planning.interface import Array, Planner, Taps, TapValues
 from tapping_cell.planning.near_taps import NearTaps, best_first, near_taps
 from tapping_cell.planning.refusal import Refusal, RefusalReason
 from tapping_cell.planning.settings import CameraNoise, PlannerSettings
-from tapping_cell.planning.stopping import StoppingBox, stopping_box
+from tapping_cell.planning.stopping import LONG_OBSERVATION, StoppingBox, stopping_box
 from tapping_cell.planning.strike import BoolArray, StrikePlan, StrikeSpace
 from tapping_cell.planning.tap_times import TapTimes
 from tapping_cell.planning.visited import VisitedPoses
@@ -120,6 +121,8 @@ class Strike:
 
 
 Decision = Done | ObserveAgain | Strike | Refusal
+Observed = tuple[ArrayLike, ArrayLike]
+"""Measured pose (3,) of an object, m and rad in `table`, and its covariance (3, 3)."""
 
 
 class GoalSession(ABC):
@@ -218,15 +221,15 @@ class GoalSession(ABC):
         object_pose: ArrayLike,
         covariance: ArrayLike | None = None,
         *,
-        observe_again: bool = False,
+        observe_again: bool = True,
     ) -> Decision:
         """Decide on the next step for a stationary object.
 
         Args:
             object_pose: measured x, y, theta in `table`, m and rad.
             covariance: covariance (3, 3) of that pose; None uses the camera's nominal noise.
-            observe_again: whether a longer observation is possible; ``ObserveAgain`` is
-                returned only if this is True.
+            observe_again: whether a longer observation is possible. ``ObserveAgain`` is returned
+                only if this is True. Without longer observations, a goal needs more taps.
         """
         if self._goal_refusal is not None:
             return self._goal_refusal
@@ -248,6 +251,41 @@ class GoalSession(ABC):
             or self._rotation_refusal(left, box)
             or self._next_tap(pose, left)
         )
+
+    def decisions(self, observe: Callable[[], Observed]) -> Iterator[Decision]:
+        """Run the closed loop: observe, decide, and learn from each tap; yield every decision.
+
+        The caller makes each ``Strike`` before it asks for the next decision. After an
+        ``ObserveAgain`` the loop observes again and decides on the mean of all observations, at
+        most ``LONG_OBSERVATION``. The last decision is ``Done`` or a ``Refusal``.
+
+        Args:
+            observe: observes the object at rest once. Returns its pose (3,), m and rad in `table`,
+                and the covariance (3, 3) of this pose. The errors of two observations must be
+                independent.
+        """
+        fired: Strike | None = None
+        seen: Array = np.full(3, math.nan)
+        while True:
+            before, (first, covariance) = seen, observe()
+            seen = np.asarray(first, dtype=float)
+            total: Array = np.asarray(covariance, dtype=float)
+            if fired is not None:
+                self.observe(fired, before, seen, total)
+            for count in range(1, LONG_OBSERVATION + 1):
+                if count > 1:
+                    fresh, covariance = observe()
+                    seen = displaced(seen, difference(seen, fresh) / count)
+                    total = total + np.asarray(covariance, dtype=float)
+                decision = self.decide(
+                    seen, total / count**2, observe_again=count < LONG_OBSERVATION
+                )
+                yield decision
+                if not isinstance(decision, ObserveAgain):
+                    break
+            if not isinstance(decision, Strike):
+                return
+            fired = decision
 
     def arrived(
         self, object_pose: ArrayLike, covariance: ArrayLike | None, *, observe_again: bool

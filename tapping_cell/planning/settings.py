@@ -173,8 +173,10 @@ class PlannerSettings:
         )
 
     @classmethod
-    def for_tap(cls, tap: Tap, **others: Any) -> PlannerSettings:
-        """Return a copy with the cone and the smallest distance of an object's mechanics.
+    def for_tap(cls, tap: Tap, camera: CameraNoise, **others: Any) -> PlannerSettings:
+        """Return settings with the cone and the smallest distance of an object's mechanics.
+
+        ``camera``: noise of one observation; ``CameraNoise()`` for a perfect camera.
 
         The cone is made slightly narrower, so that a tap on its edge is not rejected because of
         rounding errors.
@@ -182,6 +184,7 @@ class PlannerSettings:
         return cls(
             cone_slope=tap.cone_slope * (1.0 - 1e-6),
             smallest_distance=tap.smallest_distance * (1.0 + 1e-6),
+            camera=camera,
             **others,
         )
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import math
 from dataclasses import dataclass, replace
@@ -13,14 +14,27 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from tapping_cell.planning import Planner, PlannerSettings, make_planner, planner_names
+from tapping_cell.planning import Planner, PlannerSettings, planner_names
+from tapping_cell.planning.evaluation.task import End, Results
 from tapping_cell.planning.interface import Array
 from tapping_cell.planning.multi import MultiPlanner
+from tapping_cell.planning.registry import load_planner
 from tapping_cell.report.palette import REST, STRIKE
 
 FAN_RUNS = 60
 FAN_SEED = 1
 Goal = tuple[float, float, float]
+TRIAL_COLUMNS = (
+    "method",
+    "trial",
+    "taps",
+    "end",
+    "inside",
+    "distance_mm",
+    "rotation_deg",
+    "seconds",
+)
+"""Columns of ``trials.csv`` (docs/planning.md)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,8 +51,9 @@ class Method:
     error_line: float | None = None
 
 
-def methods() -> tuple[Method, ...]:
-    """Return the compared methods: built-in methods with variants, and all registered methods."""
+def methods(own: str = "optimal") -> tuple[Method, ...]:
+    """Return the compared methods: built-in methods with variants, all registered methods, and
+    ``own``, which may be given as module:Class."""
     built_in = (
         Method("exact, retreat", "exact", "retreat"),
         Method("exact, overshoot", "exact"),
@@ -49,7 +64,8 @@ def methods() -> tuple[Method, ...]:
         Method("optimal", "optimal"),
     )
     known = {method.planner for method in built_in}
-    return built_in + tuple(Method(name, name) for name in planner_names() if name not in known)
+    names = dict.fromkeys([*planner_names(), own])
+    return built_in + tuple(Method(name, name) for name in names if name not in known)
 
 
 def method_settings(method: Method, settings: PlannerSettings) -> PlannerSettings:
@@ -62,16 +78,21 @@ def method_settings(method: Method, settings: PlannerSettings) -> PlannerSetting
 
 def comparison_table(rows: dict[str, dict[str, Any]]) -> str:
     """Return a Markdown table of the results, with one row per method."""
+    reference = next(iter(rows.values()))["more_taps"]["than"]
     lines = [
-        "| method | mean taps (95 % interval) | 99 % of runs within (taps) | maximum taps "
+        f"| method | mean taps (95 % interval) | more taps than {reference} (95 % interval) "
+        "| 99 % of runs within (taps) | maximum taps "
         "| reached within 5 taps, of all | reached, of all | truly inside, of reached |",
-        "| --- | --- | --- | --- | --- | --- | --- |",
+        "| --- | --- | --- | --- | --- | --- | --- | --- |",
     ]
     for label, figures in rows.items():
-        taps = figures["taps"]
+        taps, more = figures["taps"], figures["more_taps"]
         low, high = taps["mean_interval"]
+        least, most = more["mean_interval"]
+        difference = f"{more['mean']:+.3f} ({least:+.3f} to {most:+.3f})"
         lines.append(
-            f"| {label} | {taps['mean']:.3f} ({low:.3f} to {high:.3f}) | {taps['p99']} "
+            f"| {label} | {taps['mean']:.3f} ({low:.3f} to {high:.3f}) "
+            f"| {'-' if label == reference else difference} | {taps['p99']} "
             f"| {taps['max']} | {100 * _within(figures)[min(5, taps['max'])]:.1f} % "
             f"| {100 * figures['success_rate']:.1f} % "
             f"| {100 * figures['truly_inside_rate']:.2f} % |"
@@ -80,16 +101,47 @@ def comparison_table(rows: dict[str, dict[str, Any]]) -> str:
 
 
 def write_comparison(
-    folder: Path, rows: dict[str, dict[str, Any]], settings: PlannerSettings, goal: Goal
+    folder: Path,
+    rows: dict[str, dict[str, Any]],
+    trials: dict[str, Results],
+    settings: PlannerSettings,
+    goal: Goal,
+    compared: tuple[Method, ...],
 ) -> None:
-    """Write ``comparison.md``, ``comparison.json`` and the plots; create the folder if missing."""
+    """Write ``comparison.md``, ``comparison.json``, ``trials.csv`` and the plots; create the folder
+    if missing."""
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "comparison.md").write_text(comparison_table(rows) + "\n", encoding="utf-8")
     (folder / "comparison.json").write_text(json.dumps(rows, indent=2) + "\n", encoding="utf-8")
+    _write_trials(trials, folder / "trials.csv")
     draw_histograms(rows, folder / "planning_taps.png")
     draw_success(rows, folder / "planning_success.png")
-    draw_cones(settings, goal, folder / "planning_cones.png")
-    draw_fans(settings, goal, folder / "planning_fans.png")
+    draw_differences(rows, folder / "planning_differences.png")
+    draw_cones(settings, goal, compared, folder / "planning_cones.png")
+    draw_fans(settings, goal, compared, folder / "planning_fans.png")
+
+
+def _write_trials(trials: dict[str, Results], path: Path) -> None:
+    """Write one row for each trial of each method."""
+    with path.open("w", newline="", encoding="utf-8") as stream:
+        table = csv.writer(stream)
+        table.writerow(TRIAL_COLUMNS)
+        for label, results in trials.items():
+            columns = (
+                results.taps,
+                (End(code).name.lower() for code in results.end.tolist()),
+                results.inside,
+                *(
+                    (f"{value:.6g}" for value in values.tolist())
+                    for values in (
+                        1e3 * results.distance,
+                        np.degrees(results.rotation),
+                        results.seconds,
+                    )
+                ),
+            )
+            for number, row in enumerate(zip(*columns, strict=True)):
+                table.writerow([label, number, *row])
 
 
 def draw_histograms(rows: dict[str, dict[str, Any]], path: Path) -> None:
@@ -121,7 +173,25 @@ def draw_success(rows: dict[str, dict[str, Any]], path: Path) -> None:
     figure.savefig(path)
 
 
-def draw_cones(settings: PlannerSettings, goal: Goal, path: Path) -> None:
+def draw_differences(rows: dict[str, dict[str, Any]], path: Path) -> None:
+    """Draw how many more taps each method needs than the reference, with 95 % intervals."""
+    figure, (axis,) = _figure(1, columns=1, size=(7.5, 0.7 + 0.35 * len(rows)))
+    for place, figures in enumerate(rows.values()):
+        more = figures["more_taps"]
+        axis.plot(more["mean_interval"], [place, place], color=REST, lw=3, solid_capstyle="butt")
+        axis.plot(more["mean"], place, "o", color=REST)
+    axis.axvline(0.0, color=STRIKE, linewidth=1.2)
+    axis.set_yticks(range(len(rows)), list(rows))
+    axis.invert_yaxis()
+    reference = next(iter(rows.values()))["more_taps"]["than"]
+    axis.set_xlabel(f"more taps than {reference}, mean with 95 % interval")
+    axis.grid(axis="x", alpha=0.3)
+    figure.savefig(path)
+
+
+def draw_cones(
+    settings: PlannerSettings, goal: Goal, compared: tuple[Method, ...], path: Path
+) -> None:
     """Draw the cone of one tap, the subgoals of the first tap, and the multi-tap plan's cones."""
     figure, (left, right) = _figure(2, columns=2, size=(11.0, 4.6))
     distance, turn = math.hypot(goal[0], goal[1]), goal[2]
@@ -134,7 +204,7 @@ def draw_cones(settings: PlannerSettings, goal: Goal, path: Path) -> None:
     left.plot(0.0, 0.0, "ko")
     left.annotate("start", (0.0, 0.0), (6, -12), textcoords="offset points", fontsize=8)
     left.plot(distance, turn, "k*", markersize=12)
-    for method in methods():
+    for method in compared:
         tap = _planner(method, settings).choose(1e-3 * distance, math.radians(turn))
         place, angle = 1e3 * float(tap.distance), math.degrees(float(tap.rotation))
         left.plot([0.0, place], [0.0, angle], marker="o", markersize=4, lw=1.0, label=method.label)
@@ -143,7 +213,7 @@ def draw_cones(settings: PlannerSettings, goal: Goal, path: Path) -> None:
         fontsize=9,
     )
     left.set_ylim(-2.0, max(1.3 * turn, 12.0))
-    left.legend(fontsize=7, loc="upper left")
+    left.legend(fontsize=7, loc="upper right", bbox_to_anchor=(-0.1, 1.0))
     _draw_chain(right, settings, distance, turn)
     for axis in (left, right):
         axis.set(xlabel="distance (mm)", ylabel="rotation (degrees)")
@@ -167,16 +237,17 @@ def _draw_chain(axis: Axes, settings: PlannerSettings, distance: float, turn: fl
         f"if the rotation of each tap is wrong by at most {100 * planner.error_line:.0f} %",
         fontsize=9,
     )
-    axis.legend(fontsize=7, loc="upper left")
+    axis.legend(fontsize=7, loc="upper left", bbox_to_anchor=(1.0, 1.0))
 
 
-def draw_fans(settings: PlannerSettings, goal: Goal, path: Path) -> None:
+def draw_fans(
+    settings: PlannerSettings, goal: Goal, compared: tuple[Method, ...], path: Path
+) -> None:
     """Draw runs of every method in the distance-rotation plane, like figures 5 and 6 of the
     paper."""
-    chosen = methods()
-    figure, axes = _figure(len(chosen), columns=4, size=(13.0, 3.0))
+    figure, axes = _figure(len(compared), columns=4, size=(13.0, 3.0))
     distance, turn = math.hypot(goal[0], goal[1]), goal[2]
-    for axis, method in zip(axes, chosen, strict=False):
+    for axis, method in zip(axes, compared, strict=False):
         planner = _planner(method, settings)
         for run in fan_of_runs(planner, (1e-3 * distance, math.radians(turn)), FAN_RUNS, FAN_SEED):
             axis.plot(1e3 * run[:, 0], np.degrees(run[:, 1]), color=REST, alpha=0.15, lw=0.8)
@@ -190,7 +261,7 @@ def draw_fans(settings: PlannerSettings, goal: Goal, path: Path) -> None:
 
 
 def _planner(method: Method, settings: PlannerSettings) -> Planner:
-    return make_planner(method.planner, method_settings(method, settings))
+    return load_planner(method.planner, method_settings(method, settings))
 
 
 def _within(figures: dict[str, Any]) -> np.ndarray[Any, np.dtype[np.float64]]:

@@ -1,7 +1,4 @@
-"""Taps in the simulated world to evaluate planners: many trials without devices or images.
-
-One tap takes about 10 ms. ``answer`` has the signature that ``planning.evaluation`` requires.
-"""
+"""Taps in the simulated world without devices and images. One tap takes about 10 ms."""
 
 from __future__ import annotations
 
@@ -10,7 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from tapping_cell.configuration.cell import Cell
+from tapping_cell.configuration.files import shared_folder
 from tapping_cell.configuration.objects import ObjectFile
+from tapping_cell.configuration.schema import load
 from tapping_cell.mechanics import Tap
 from tapping_cell.mechanics.tap import tips_at_rest
 from tapping_cell.se2 import Pose
@@ -22,9 +22,9 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class SimulatedTaps:
-    """Simulates taps, with the striker placed according to the planner's mechanics.
+    """Simulates the taps of an evaluation.
 
-    ``model``: mechanics of the planner, which convert a displacement into a strike. ``content``:
+    ``model``: mechanics of the planner, which place the striker. ``content``:
     object file to which ``truth`` is relative. ``standoff``: distance from the tip at rest to the
     contact, m. ``stroke``: maximum travel of the tip, m. ``round_position``, ``round_angle``:
     increments to which the tip's pose at rest is rounded (m, rad); 0 for none.
@@ -70,3 +70,39 @@ class SimulatedTaps:
             end = world.pose
             moved[index] = end.x - start.x, end.y - start.y, start.rotation_to(end)
         return moved * np.asarray(gains)[:, [0, 0, 1]]
+
+
+class SimulatedTable:
+    """A table with the cell's object: an observation and a tap are one call each.
+
+    The object starts at the pose in ``truth``. The camera has the noise in the cell file.
+    """
+
+    def __init__(self, cell: Cell, truth: TruthFile | None = None, seed: int = 0) -> None:
+        """``truth``: simulation parameters; None for those of the package."""
+        self._cell = cell
+        self._random = np.random.default_rng(seed)
+        if truth is None:
+            truth = load(TruthFile, shared_folder() / "truth" / "default.yaml")
+        tapper = cell.file.tapper
+        self._world = World(cell.object, tapper.striker(), tapper.stroke, truth, self._random)
+        self._now = 0.0
+        self._world.advance(self._now)
+
+    @property
+    def pose(self) -> Pose:
+        """True pose of the object in `table`."""
+        return self._world.pose
+
+    def observe(self) -> tuple[Array, Array]:
+        """Return a measured pose (3,) of the object, m and rad, and its covariance (3, 3)."""
+        noise = self._cell.file.camera
+        deviations = np.array([noise.position_noise, noise.position_noise, noise.angle_noise])
+        seen = np.array(self.pose) + deviations * self._random.standard_normal(3)
+        return seen, np.diag(deviations**2)
+
+    def tap(self, strike_pose: Pose, striker_speed: float) -> None:
+        """Fire the striker with its tip at rest at ``strike_pose``, at a speed in m/s, and wait
+        until the object is at rest."""
+        self._world.strike(strike_pose, self._cell.object.height / 2, striker_speed, self._now)
+        self._now = self._world.settle()

@@ -198,7 +198,7 @@ class ArrangementSession:
         self._excluded = self._stalled = frozenset()
 
     def decide(
-        self, seen: Mapping[str, Observation], *, observe_again: bool = False
+        self, seen: Mapping[str, Observation], *, observe_again: bool = True
     ) -> ArrangementDecision:
         """Decide on the next step; ``seen`` must contain an observation of every object."""
         missing = [body.name for body in self.bodies if body.name not in seen]

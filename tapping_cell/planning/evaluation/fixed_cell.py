@@ -11,7 +11,6 @@ import numpy as np
 
 from tapping_cell.mechanics import Tap
 from tapping_cell.planning.errors import PlanningError
-from tapping_cell.planning.evaluation.observing import decide
 from tapping_cell.planning.evaluation.task import Results, TrialResult, trial_result
 from tapping_cell.planning.evaluation.worlds import scattered
 from tapping_cell.planning.fixed_session import FixedTapperSession
@@ -94,16 +93,17 @@ def _run_one(
         adapt=evaluation.adapt,
         most_taps=evaluation.most_taps,
     )
-    camera, noise = settings.camera, settings.camera.deviations
-    left, seconds = False, 0.0
-    decision, seen = decide(session, pose, pose + noise * rng.standard_normal(3), camera, rng)
-    while isinstance(decision, Strike):
+    camera, left, seconds = settings.camera, False, 0.0
+
+    def observe() -> tuple[Array, Array]:
+        return pose + camera.deviations * rng.standard_normal(3), camera.covariance
+
+    for decision in session.decisions(observe):
+        if not isinstance(decision, Strike):
+            continue
         seconds += BESIDES_FLIGHT_S + decision.plan.flight
         pose = displaced(pose, _answer(true, decision, pose, settings, rng))
         left = left or float(area.clearance(pose[:2])) < 0.0
-        before = seen
-        session.observe(decision, before, pose + noise * rng.standard_normal(3))
-        decision, seen = decide(session, pose, pose + noise * rng.standard_normal(3), camera, rng)
     return trial_result(session, decision, pose, evaluation.most_taps, left, seconds)
 
 

@@ -8,7 +8,6 @@ import math
 import numpy as np
 
 from tapping_cell.planning.errors import PlanningError
-from tapping_cell.planning.evaluation.observing import decide
 from tapping_cell.planning.evaluation.task import (
     Evaluation,
     Results,
@@ -91,9 +90,14 @@ def _run_one(
     if clock is not None:
         tip, seconds = clock.parked, 0.0
         session.arm = tip
-    seen = pose + camera.deviations * rng.standard_normal(3)
-    decision, seen = decide(session, pose, seen, camera, rng)
-    while isinstance(decision, Strike):
+
+    def observe() -> tuple[Array, Array]:
+        return pose + camera.deviations * rng.standard_normal(3), camera.covariance
+
+    for decision in session.decisions(observe):
+        if not isinstance(decision, Strike):
+            continue
+        seen = displaced(session.goal, -np.array(decision.residual))
         moved = evaluation.simulation.answer(
             pose[None, :], seen[None, :], np.array([decision.commanded]), gain, rng
         )[0]
@@ -103,7 +107,4 @@ def _run_one(
             spent, tip = clock.tap(tip, Pose(*seen.tolist()), decision)
             session.arm = tip
             seconds += spent
-        before, seen = seen, pose + camera.deviations * rng.standard_normal(3)
-        session.observe(decision, before, seen)
-        decision, seen = decide(session, pose, seen, camera, rng)
     return trial_result(session, decision, pose, evaluation.most_taps, over, seconds)

@@ -15,7 +15,7 @@ import numpy as np
 from tapping_cell.planning.evaluation.on_table import run_table_trials
 from tapping_cell.planning.evaluation.open_table import run_open_trials
 from tapping_cell.planning.evaluation.task import Evaluation, Results
-from tapping_cell.planning.registry import make_planner
+from tapping_cell.planning.registry import load_planner
 
 OPEN_CHUNK = 4000
 """Number of trials on an open table per chunk; each chunk has its own random stream."""
@@ -44,7 +44,7 @@ def evaluate(
     """
     # Creating the planner solves its policy once and stores it in the cache, from which the
     # processes then load it.
-    make_planner(evaluation.planner, evaluation.settings)
+    load_planner(evaluation.planner, evaluation.settings)
     chunk = OPEN_CHUNK if evaluation.space is None else TABLE_CHUNK
     sizes = [chunk] * (evaluation.trials // chunk)
     if evaluation.trials % chunk:
@@ -71,7 +71,7 @@ def evaluate(
 
 def run_chunk(evaluation: Evaluation, count: int, seed: np.random.SeedSequence) -> Results:
     """Run one chunk of trials with its own random stream."""
-    planner = make_planner(evaluation.planner, evaluation.settings)
+    planner = load_planner(evaluation.planner, evaluation.settings)
     rng = np.random.default_rng(seed)
     if evaluation.space is not None:
         return run_table_trials(evaluation, planner, count, rng)

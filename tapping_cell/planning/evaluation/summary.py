@@ -43,17 +43,18 @@ def summarise(results: Results, planned_taps: int | None = None) -> dict[str, An
     }
     seconds = results.seconds[began]
     if np.all(np.isfinite(seconds)) and seconds.size:
-        error = NORMAL_95 * float(np.std(seconds)) / math.sqrt(seconds.size)
-        mean = float(np.mean(seconds))
-        summary["seconds"] = {
-            "mean": mean,
-            "mean_interval": [mean - error, mean + error],
-            "p90": float(np.percentile(seconds, 90)),
-        }
+        summary["seconds"] = {**mean_of(seconds), "p90": float(np.percentile(seconds, 90))}
     if planned_taps is not None:
         summary["planned_taps"] = planned_taps
         summary["within_planned_rate"] = _share(done & (results.taps <= planned_taps), everything)
     return summary
+
+
+def mean_of(values: np.ndarray[Any, Any]) -> dict[str, Any]:
+    """Return the mean with its 95 % confidence interval."""
+    mean = float(np.mean(values))
+    error = NORMAL_95 * float(np.std(values)) / math.sqrt(values.size)
+    return {"mean": mean, "mean_interval": [mean - error, mean + error]}
 
 
 def tap_figures(taps: np.ndarray[Any, np.dtype[np.int64]]) -> dict[str, Any]:
@@ -61,12 +62,9 @@ def tap_figures(taps: np.ndarray[Any, np.dtype[np.int64]]) -> dict[str, Any]:
     counts."""
     if taps.size == 0:
         return {"mean": math.nan, "mean_interval": [math.nan] * 2, "histogram": {}}
-    mean = float(np.mean(taps))
-    error = NORMAL_95 * float(np.std(taps)) / math.sqrt(taps.size)
     counts = np.bincount(taps)
     return {
-        "mean": mean,
-        "mean_interval": [mean - error, mean + error],
+        **mean_of(taps),
         "p50": int(np.percentile(taps, 50, method="inverted_cdf")),
         "p90": int(np.percentile(taps, 90, method="inverted_cdf")),
         "p99": int(np.percentile(taps, 99, method="inverted_cdf")),

@@ -11,13 +11,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from single_tap_records import DISK, RUNS, TRUE, taps, write
-from single_taps import Design, simulated_trials
 
 from benchmarks.calibration import draw
 from tapping_cell.calibration.csv_table import RecordError
 from tapping_cell.calibration.experiment import StrikerSection, read_experiment
 from tapping_cell.calibration.object_fit import fit_object, predict
 from tapping_cell.cli import main
+from tapping_cell.cli.simulated_single_taps import Design, simulated_trials
 from tapping_cell.configuration.files import shared_folder
 from tapping_cell.configuration.objects import load_object
 

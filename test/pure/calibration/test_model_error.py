@@ -7,12 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from single_taps import Design, simulated_experiment
 
 from tapping_cell.calibration.experiment import StrikerSection
 from tapping_cell.calibration.model_error import Taps, lack_of_fit, model_errors
 from tapping_cell.calibration.object_fit import ObjectFit, fit_object
 from tapping_cell.calibration.prediction import Launches
+from tapping_cell.cli.simulated_single_taps import Design, simulated_experiment
 from tapping_cell.configuration.cell import load_cell
 from tapping_cell.simulation.truth import ImpactTruth, ScatterTruth, SupportTruth, TruthFile
 

@@ -7,7 +7,14 @@ import os
 import pytest
 
 from tapping_cell.mechanics import Disk, Impact, Sliding, Striker, Tap
-from tapping_cell.planning import FreeSpace, Gains, PlannerSettings, StrikeSpace, Workspace
+from tapping_cell.planning import (
+    CameraNoise,
+    FreeSpace,
+    Gains,
+    PlannerSettings,
+    StrikeSpace,
+    Workspace,
+)
 from tapping_cell.planning.gains import NAMES
 
 
@@ -39,7 +46,7 @@ def tap():
 
 @pytest.fixture(scope="session")
 def settings(tap):
-    return PlannerSettings.for_tap(tap)
+    return PlannerSettings.for_tap(tap, CameraNoise())
 
 
 @pytest.fixture(scope="session")

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from tapping_cell.mechanics import Disk, Impact, Sliding, Striker, Tap
 from tapping_cell.planning import (
+    CameraNoise,
     CircleArea,
     FreeSpace,
     PlannerSettings,
@@ -51,7 +52,9 @@ def kind() -> Kind:
         smallest_distance=0.0017,
     )
     space = StrikeSpace(tap, Workspace())
-    return Kind(FreeSpace(space), make_planner("exact", PlannerSettings.for_tap(tap)))
+    return Kind(
+        FreeSpace(space), make_planner("exact", PlannerSettings.for_tap(tap, CameraNoise()))
+    )
 
 
 def bodies_of(kind: Kind, goals: Sequence[Pose | None], movable: bool = True) -> list[Body]:

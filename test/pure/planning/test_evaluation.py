@@ -1,7 +1,9 @@
 import argparse
+import csv
 import json
 import math
 import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -153,16 +155,32 @@ def test_goals_across_the_table_are_reached_or_refused_at_once(capsys):
     assert 0 < found["refused_before"] < 8
 
 
-def test_the_report_has_a_table_and_plots(capsys, tmp_path):
-    folder = tmp_path / "new" / "report"
-    assert main(["evaluate", "--all", "--trials", "200", "--report", str(folder)]) == 0
+def test_the_report_compares_a_class_of_the_user_with_all_methods(capsys, tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(Path(__file__).resolve().parents[3] / "examples/patient_planner")
+    folder, own = tmp_path / "new" / "report", "patient_planner:PatientPlanner"
+    words = ["--all", "--planner", own, "--trials", "200", "--report", str(folder)]
+    assert main(["evaluate", *words]) == 0
     shown = capsys.readouterr().out
-    assert "| optimal |" in shown and "| multi 60 % |" in shown
+    assert "| optimal |" in shown and "| multi 60 % |" in shown and f"| {own} |" in shown
+    rows = json.loads((folder / "comparison.json").read_text())
+    for label, figures in rows.items():
+        more = figures["more_taps"]
+        low, high = more["mean_interval"]
+        difference = figures["taps"]["mean"] - rows[own]["taps"]["mean"]
+        assert more["than"] == own and more["mean"] == pytest.approx(difference)
+        assert (low == high == 0.0) if label == own else low < more["mean"] < high
+    assert rows["optimal"]["more_taps"]["mean_interval"][1] < 0.0
+    with (folder / "trials.csv").open(encoding="utf-8") as stream:
+        trials = [row for row in csv.DictReader(stream) if row["method"] == own]
+    assert np.mean([int(row["taps"]) for row in trials]) == rows[own]["taps"]["mean"]
+    assert {row["end"] for row in trials} == {"done"} and len(trials) == 200
+    assert max(abs(float(row["rotation_deg"])) for row in trials) <= 1.0
     for name in (
         "comparison.md",
         "comparison.json",
         "planning_taps.png",
         "planning_success.png",
+        "planning_differences.png",
         "planning_cones.png",
         "planning_fans.png",
     ):
@@ -173,6 +191,7 @@ def test_the_report_has_a_table_and_plots(capsys, tmp_path):
     ("words", "sentence"),
     [
         (["--planner", "exakt"], "choose one of exact"),
+        (["--planner", "no_such_module:Mine"], "No module named 'no_such_module'"),
         (["--trials", "0"], "0 trials"),
         (["--box", "3"], "box is 3.0"),
         (["--round-position", "15"], "--model physics"),

@@ -82,10 +82,10 @@ def test_a_goal_is_done_only_if_the_covariance_allows_it(planner, space, free):
     pose = (0.0009, 0.0, 0.0)
     assert isinstance(session.decide(pose, FINE), Done)
     coarse = np.diag([1e-8, 1e-8, 1e-6])
-    assert isinstance(session.decide(pose, coarse), Strike)
+    assert isinstance(session.decide(pose, coarse, observe_again=False), Strike)
     assert isinstance(session.decide((0.0005, 0.0, 0.0), coarse), Done)
     blind = np.diag([1e-6, 1e-6, 1e-4])
-    refusal = session.decide(pose, blind)
+    refusal = session.decide(pose, blind, observe_again=False)
     assert isinstance(refusal, Refusal) and refusal.reason is RefusalReason.CAMERA_TOO_COARSE
     assert isinstance(session.decide((0.02, 0.0, 0.0), blind), Strike)
 
@@ -392,7 +392,7 @@ def test_a_polygon_without_a_contact_for_the_safe_taps_is_refused_with_that_reas
     degrees to it."""
     tap = square_tap()
     space = StrikeSpace(tap, Workspace(length=0.6, width=0.1299))
-    planner = make_planner("exact", PlannerSettings.for_tap(tap))
+    planner = make_planner("exact", PlannerSettings.for_tap(tap, CameraNoise()))
     session = PositioningSession((0.1, 0.0, math.pi / 4), planner, space, None, known())
     refusal = session.decide((0.0, 0.0, math.pi / 4))
     assert isinstance(refusal, Refusal) and refusal.reason is RefusalReason.NO_CONTACT
@@ -404,7 +404,7 @@ def test_a_polygon_without_a_contact_for_the_safe_taps_is_refused_with_that_reas
 def test_a_slippery_polygon_is_struck_along_its_normals_whatever_its_orientation():
     tap = square_tap(contact_friction=0.01)
     space = StrikeSpace(tap, Workspace(length=1.0, width=1.0))
-    planner = make_planner("exact", PlannerSettings.for_tap(tap))
+    planner = make_planner("exact", PlannerSettings.for_tap(tap, CameraNoise()))
     for degrees in (7.0, 22.0, 38.0):
         session = PositioningSession((0.05, 0.0, 0.0), planner, space)
         assert isinstance(session.decide((0.0, 0.0, math.radians(degrees))), Strike)

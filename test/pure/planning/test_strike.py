@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from tapping_cell.mechanics import Impact, Polygon, Sliding, Striker, Tap
 from tapping_cell.planning import (
+    CameraNoise,
     CircleArea,
     FreeSpace,
     PlannerSettings,
@@ -58,7 +59,7 @@ def test_a_strike_from_its_standoff_gives_the_displacement(space, tap, turn, hea
 def test_taps_beside_a_keep_out_come_from_free_space(tap):
     table = Workspace(keep_outs=(CircleArea(-0.13, 0.0, 0.03),))
     space = StrikeSpace(tap, table)
-    planner = make_planner("exact", PlannerSettings.for_tap(tap))
+    planner = make_planner("exact", PlannerSettings.for_tap(tap, CameraNoise()))
     session = PositioningSession((0.03, 0.0, 0.0), planner, space)
     strike = session.decide((-0.02, 0.0, 0.0))
     assert isinstance(strike, Strike) and strike.detour
@@ -120,7 +121,7 @@ def test_positions_without_a_return_tap_are_not_tappable(tap):
     space = StrikeSpace(tap, Workspace(), reach)
     free = FreeSpace(space)
     assert not free.tappable.any()
-    planner = make_planner("exact", PlannerSettings.for_tap(tap))
+    planner = make_planner("exact", PlannerSettings.for_tap(tap, CameraNoise()))
     refusal = PositioningSession((0.0, 0.0, 0.0), planner, space, free).decide((-0.1, 0, 0))
     assert isinstance(refusal, Refusal) and refusal.reason is RefusalReason.GOAL_OUT_OF_REACH
 
@@ -161,7 +162,7 @@ def test_a_polygon_is_struck_on_its_real_edges():
         impact=Impact(square, Striker(0.1, 0.0054), restitution=0.86, friction=0.2),
     )
     space = StrikeSpace(tap, Workspace())
-    planner = make_planner("exact", PlannerSettings.for_tap(tap))
+    planner = make_planner("exact", PlannerSettings.for_tap(tap, CameraNoise()))
     session = PositioningSession((0.05, 0.03, 0.4), planner, space)
     pose = np.array([-0.05, -0.02, 0.1])
     for _ in range(15):

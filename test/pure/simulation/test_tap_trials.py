@@ -10,7 +10,7 @@ import pytest
 
 from tapping_cell.configuration.assembly import make_tap
 from tapping_cell.configuration.cell import load_cell
-from tapping_cell.planning import PlannerSettings, make_planner
+from tapping_cell.planning import CameraNoise, PlannerSettings, make_planner
 from tapping_cell.planning.evaluation import Evaluation, PhysicsWorld, run_open_trials
 from tapping_cell.planning.evaluation.task import End
 from tapping_cell.planning.settings import Scatter
@@ -67,7 +67,7 @@ def test_goals_are_reached_in_a_world_that_the_files_do_not_describe() -> None:
         support=SupportTruth(friction_factor=0.6, torque_factor_ratio=0.6, pressure="rim"),
         scatter=ScatterTruth(0.02, 0.1, 0.01),
     )
-    settings = PlannerSettings.for_tap(TAP)
+    settings = PlannerSettings.for_tap(TAP, CameraNoise())
     evaluation = Evaluation(
         planner="exact",
         settings=settings,

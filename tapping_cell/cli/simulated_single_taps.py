@@ -15,7 +15,7 @@ from tapping_cell.calibration.experiment import Experiment, ExperimentFile, Stri
 from tapping_cell.calibration.trials import Track, Trial, completed
 from tapping_cell.configuration.objects import GRAVITY, ObjectFile
 from tapping_cell.mechanics import Polygon, Striker, Tap
-from tapping_cell.se2 import Pose
+from tapping_cell.se2 import Array, Pose
 from tapping_cell.simulation.truth import TruthFile
 from tapping_cell.simulation.world import World
 
@@ -77,15 +77,16 @@ def simulated_experiment(
     """Return one experiment as it is read from its folder. ``noise_known``: whether the header
     contains the noise of a pose at rest; if it does not, the default values of the header are
     used."""
-    noise = zip(("rest_position_std", "rest_rotation_std"), design.rest_noise, strict=True)
     header = ExperimentFile(
         format=1,
         made="",
         source="simulated",
         striker=striker,
         camera_rate_hz=design.rate,
-        **(dict(noise) if noise_known else {}),
     )
+    if noise_known:
+        position, rotation = design.rest_noise
+        header = replace(header, rest_position_std=position, rest_rotation_std=rotation)
     trials = simulated_trials(content, striker.striker(), truth, design, seed)
     return Experiment(Path(), header, tuple(trials), ())
 
@@ -115,7 +116,8 @@ class _Bench:
         """Make one tap at a random contact, with the speed that a slide of ``distance`` without
         rotation needs."""
         random, design = self._random, self._design
-        start = Pose(*random.uniform(-0.03, 0.03, 2), float(random.uniform(-math.pi, math.pi)))
+        x, y = random.uniform(-0.03, 0.03, 2).tolist()
+        start = Pose(x, y, float(random.uniform(-math.pi, math.pi)))
         before = self._noisy(start, design.rest_noise)
         tip, speed = self._aim(before, distance, incidence)
         planned = self._tap.strike(_array(before), _array(tip), speed)
@@ -179,17 +181,19 @@ class _Bench:
             quiet += struck and world.at_rest
             begun += 1 / rate
         self._now = begun
-        seen = np.array(poses)
+        seen: Array = np.array(poses)
         sample, turn = self._design.track_noise
         seen += self._random.standard_normal(seen.shape) * [sample, sample, turn]
         known = np.ones(len(times))
-        columns = (np.array(times), seen[:, 0], seen[:, 1], np.unwrap(seen[:, 2]))
-        return Track(*columns, sample * known, turn * known), world.pose
+        theta: Array = np.unwrap(seen[:, 2]).astype(float)
+        return Track(
+            np.array(times), seen[:, 0], seen[:, 1], theta, sample * known, turn * known
+        ), world.pose
 
     def _noisy(self, pose: Pose, noise: tuple[float, float]) -> Pose:
         x, y, theta = _array(pose) + self._random.standard_normal(3) * [noise[0], *noise]
         return Pose(float(x), float(y), float(theta))
 
 
-def _array(pose: Pose) -> np.ndarray:
+def _array(pose: Pose) -> Array:
     return np.array([pose.x, pose.y, pose.theta])

@@ -1,0 +1,191 @@
+"""Page, table and figures that put the numbers of the paper beside those of this software."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Mapping, Sequence
+from dataclasses import astuple, dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from tapping_cell.report.palette import GOAL, INK, PREDICTED, REST, STRIKE
+from tapping_cell.report.photograph import data_url
+from tapping_cell.report.rendering import render
+
+PAGE, TABLE = "paper.html", "paper.csv"
+Results = Mapping[str, Mapping[str, Any]]
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One number of the paper and the same number here.
+
+    paper: as the paper states it. value, low, high: number here with its 95 % interval, in
+    ``unit``. why: why the two differ. command: the command that repeats the number.
+    """
+
+    section: str
+    quantity: str
+    unit: str
+    paper: str
+    value: float
+    low: float
+    high: float
+    why: str
+    command: str
+
+    @property
+    def here(self) -> str:
+        """The number here and its interval as text."""
+        text = f"{self.value:.3g} {self.unit}".strip()
+        unbroken = f"({self.low:.3g}\u00a0to\u00a0{self.high:.3g})"
+        return text if self.low == self.high else f"{text} {unbroken}"
+
+
+def write_page(
+    folder: Path, rows: Sequence[Row], figures: Sequence[tuple[str, Sequence[tuple[Path, str]]]]
+) -> Path:
+    """Write ``paper.html`` and ``paper.csv``; return the page.
+
+    ``figures``: for each heading the images, with their captions.
+    """
+    with (folder / TABLE).open("w", newline="", encoding="utf-8") as stream:
+        table = csv.writer(stream)
+        table.writerow([field.name for field in fields(Row)])
+        table.writerows(map(astuple, rows))
+    sections: dict[str, list[tuple[str, ...]]] = {}
+    for row in rows:
+        sections.setdefault(row.section, []).append((row.quantity, row.paper, row.here, row.why))
+    page = folder / PAGE
+    page.write_text(
+        render(
+            "paper.html",
+            sections=sections,
+            figures=[
+                (title, [(data_url("image/png", file.read_bytes()), text) for file, text in shown])
+                for title, shown in figures
+            ],
+            commands=[(row.quantity, row.command) for row in rows],
+        ),
+        encoding="utf-8",
+    )
+    return page
+
+
+def draw_planners(results: Results, path: Path) -> None:
+    """Draw the mean taps of the paper's methods for both meanings of "the goal can be reached"."""
+    figure, axis = _figure((7.5, 4.2))
+    names = ("exact", "conservative", "multi")
+    _grouped(
+        axis,
+        names,
+        {
+            "a tap must reach the goal itself": (REST, [results[name] for name in names]),
+            "a tap must reach the tolerance": (
+                PREDICTED,
+                [results.get(f"{name}, tolerant") for name in names],
+            ),
+        },
+    )
+    _band(axis, 4.8, 5.2, "paper: about 5 taps")
+    axis.legend(fontsize=8, loc="upper center", bbox_to_anchor=(0.5, -0.1), ncols=3)
+    figure.savefig(path)
+
+
+def draw_rounding(results: Results, path: Path) -> None:
+    """Draw the mean taps with a rounded striker pose, in the paper's cell and in this one."""
+    figure, axis = _figure((7.5, 4.2))
+    steps = ("none", "10 mm, 5 deg", "15 mm, 10 deg")
+    _grouped(
+        axis,
+        steps,
+        {
+            "paper's cell, exact": (REST, [results[f"rounding {s}, theirs"] for s in steps]),
+            "this cell, optimal": (GOAL, [results[f"rounding {s}, ours"] for s in steps]),
+        },
+    )
+    axis.set_xlabel("rounding of the striker's pose")
+    _band(axis, 5.0, 6.0, "paper: 5 to 6 taps")
+    axis.legend(fontsize=8, loc="upper center", bbox_to_anchor=(0.5, -0.18), ncols=3)
+    figure.savefig(path)
+
+
+def draw_changes(steps: Sequence[tuple[str, Mapping[str, Any]]], path: Path) -> None:
+    """Draw how the mean number of taps falls from the paper's cell to this one; each step adds one
+    change to the steps above it."""
+    figure, axis = _figure((9.0, 0.9 + 0.42 * len(steps)))
+    places = list(range(len(steps)))
+    means = [figures["taps"]["mean"] for _, figures in steps]
+    axis.barh(places, means, color=REST, xerr=_errors([figures for _, figures in steps]))
+    for place, mean, (_, figures) in zip(places, means, steps, strict=True):
+        inside = 100.0 * figures["truly_inside_rate"]
+        axis.text(mean + 0.3, place, f"{mean:.2f}; {inside:.1f} % inside", va="center", fontsize=9)
+    axis.axvspan(4.8, 5.2, color=STRIKE, alpha=0.2, lw=0, label="paper: about 5 taps")
+    axis.set_yticks(places, [name for name, _ in steps])
+    axis.invert_yaxis()
+    axis.set(xlabel="mean taps; percentage of final poses inside the tolerance", xlim=(0, 7.5))
+    axis.legend(fontsize=8, loc="lower right")
+    figure.savefig(path)
+
+
+def draw_causes(
+    noise: Sequence[float], curves: Mapping[str, Sequence[Mapping[str, Any]]], path: Path
+) -> None:
+    """Draw the mean taps of ``exact`` over the camera's noise (m), for errors of the model."""
+    figure, axis = _figure((7.5, 4.2))
+    x = 1e3 * np.asarray(noise)
+    for colour, (name, row) in zip((GOAL, REST, PREDICTED), curves.items(), strict=True):
+        axis.errorbar(
+            x,
+            [figures["taps"]["mean"] for figures in row],
+            yerr=_errors(row),
+            marker="o",
+            color=colour,
+            label=name,
+        )
+    _band(axis, 4.8, 5.2, "paper: about 5 taps")
+    axis.set(xlabel="standard deviation of the measured position (mm)", ylabel="mean taps")
+    axis.set_ylim(0, None)
+    axis.grid(alpha=0.3)
+    axis.legend(fontsize=8, loc="upper left")
+    figure.savefig(path)
+
+
+def _figure(size: tuple[float, float]) -> tuple[Figure, Axes]:
+    figure = Figure(figsize=size, dpi=110, layout="constrained")
+    return figure, figure.subplots()
+
+
+def _grouped(
+    axis: Axes,
+    names: Sequence[str],
+    groups: Mapping[str, tuple[str, Sequence[Mapping[str, Any] | None]]],
+) -> None:
+    width = 0.8 / len(groups)
+    for index, (label, (colour, row)) in enumerate(groups.items()):
+        known = [(place, figures) for place, figures in enumerate(row) if figures is not None]
+        x = [place + (index - (len(groups) - 1) / 2) * width for place, _ in known]
+        bars = axis.bar(
+            x,
+            [figures["taps"]["mean"] for _, figures in known],
+            0.9 * width,
+            yerr=_errors([figures for _, figures in known]),
+            color=colour,
+            label=label,
+        )
+        axis.bar_label(bars, fmt="%.2f", fontsize=8, padding=3)
+    axis.set_xticks(range(len(names)), list(names))
+    axis.set(ylabel="mean taps", ylim=(0, 7))
+
+
+def _band(axis: Axes, low: float, high: float, label: str) -> None:
+    axis.axhspan(low, high, color=STRIKE, alpha=0.2, lw=0, label=label)
+    axis.axhline((low + high) / 2, color=INK, lw=0.5)
+
+
+def _errors(rows: Sequence[Mapping[str, Any]]) -> list[float]:
+    return [figures["taps"]["mean_interval"][1] - figures["taps"]["mean"] for figures in rows]
