@@ -142,8 +142,10 @@ def _independent(text: str) -> Any:
     try:
         return reader.load(text)
     except YAMLError as error:
-        if "\t" in text:  # YAML permits tabs between a key and its value, ruamel.yaml does not
-            return _independent(re.sub(r"(?<=[-:,\[ ])\t", " ", text))
+        # YAML permits tabs between a key and its value, ruamel.yaml does not.
+        without = re.sub(r"(?<=[-:,\[ ])\t", " ", text)
+        if without != text:
+            return _independent(without)
         raise Broken(f"ruamel.yaml refuses the text: {error!s:.300}") from error
 
 
