@@ -56,8 +56,8 @@ MOST_ENERGY = 1.2
 """Maximum ratio of the striker's kinetic energy to the charged energy. It would be 1 without the
 error of a calibration: the calibrated energy is proportional to the assumed friction."""
 LARGEST_FILE_ANGLE_TOLERANCE = 0.4
-"""Maximum angle tolerance in a file, rad. A larger value is probably in degrees; a goal that is sent
-by a program may have a larger tolerance."""
+"""Maximum angle tolerance in a file, rad. A larger value is probably in degrees; a program may send
+a goal with a larger tolerance."""
 LONGEST_FLIGHT_S = 2.0
 """Maximum time of flight of a striker, in s. The arm must stand still during the flight."""
 

@@ -241,6 +241,11 @@ def _fixed_tappers(cell: Cell) -> Iterator[str]:
                 f"middle of the working area; an object at the edge of the area would touch the "
                 f"tip; increase the distance to at least {1e3 * limit:.1f} mm"
             )
+    if radius + needed > float(space.workspace.edge_distance(np.array([x, y]))):
+        yield (
+            f"{path}: an object at the edge of 'fixed_tappers.working_area' would hang over the "
+            "table's edge; make the area smaller or move it"
+        )
     for entry in fixed.tappers:
         away = x - entry.position[0], y - entry.position[1]
         cos, sin = math.cos(entry.direction), math.sin(entry.direction)
@@ -254,11 +259,6 @@ def _fixed_tappers(cell: Cell) -> Iterator[str]:
                 f"{math.atan2(away[1], away[0]):.4f}) or 'position'"
             )
             return
-    if radius + needed > float(space.workspace.edge_distance(np.array([x, y]))):
-        yield (
-            f"{path}: an object at the edge of 'fixed_tappers.working_area' would hang over the "
-            "table's edge; make the area smaller or move it"
-        )
     cover = coverage(space)
     if np.any(cover.dead):
         share = 100.0 * float(np.mean(cover.dead))

@@ -213,6 +213,12 @@ def _numbers(document: dict[str, Any], key: str) -> list[float]:
     data = _entry(matrix, "data", f"{key}.")
     if not isinstance(data, list):
         raise ValueError(f"key '{key}.data' is {data!r}, but must be a list of numbers")
+    rows, columns = (matrix.get(name, 0) for name in ("rows", "cols"))
+    if isinstance(rows, int) and isinstance(columns, int) and rows * columns not in (0, len(data)):
+        raise ValueError(
+            f"key '{key}' has {rows} rows and {columns} cols, but {len(data)} numbers in 'data'; "
+            "correct one of them"
+        )
     return [_number(value, f"{key}.data[{index}]") for index, value in enumerate(data)]
 
 

@@ -140,7 +140,7 @@ class _Document:
             if key in values:
                 first = f"the key '{key}' appears twice, first in line {lines[key]}"
                 raise _error(f"{first}; delete one of them", event)
-            lines[key] = event.start_mark.line + 1
+            lines[key] = getattr(event.start_mark, "line", 0) + 1
             values[key] = self._value(next(self._events), depth + 1)
         return values
 

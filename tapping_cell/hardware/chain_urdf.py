@@ -92,7 +92,7 @@ def _check_on_chain(
     names: Sequence[str],
     chain: str,
 ) -> None:
-    """Raise ValueError for the first of ``joints`` that is not among the chain's joints ``names``."""
+    """Raise ValueError for the first of ``joints`` that is not among ``names``, the chain's."""
     by_name = {element.get("name", ""): element for element in elements}
     for index, name in enumerate(joints):
         if name not in by_name:

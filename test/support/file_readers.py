@@ -53,6 +53,8 @@ from tapping_cell.se2 import Pose
 from tapping_cell.vision.images import ImageRefused, read_photograph
 
 LONGEST_MESSAGE = 3000
+DATA_END = 15
+"""Type of the record of an MCAP file that ends its data."""
 URDF = Path(__file__).parents[2] / "examples" / "six_axis_cell" / "six_axis_arm.urdf"
 NUMBER = re.compile(r"(?<![\w.])-?\d+\.\d+|(?<![\w.])-?\d+(?![\w.])")
 WORDS = (
@@ -65,6 +67,11 @@ WORDS = (
 
 class Broken(AssertionError):
     """A file that was accepted with a value that the independent reader does not find."""
+
+
+class NoComparison(Exception):
+    """A file that was accepted, but that the independent reader refuses, for example because of a
+    tab after a colon."""
 
 
 @functools.cache
@@ -113,7 +120,7 @@ def damaged(generator: random.Random, text: str) -> str:
             lines[k] = "  " + lines[k]
         else:
             place = generator.randrange(len(lines[k]) + 1)
-            letter = generator.choice("\t:,-[]{}#'\"&*!|>%@ \u00a0x0")
+            letter = generator.choice("\t:,-[]{}#'\"&*|>%@ \u00a0x0")
             lines[k] = lines[k][:place] + letter + lines[k][place + generator.randrange(2) :]
     return "\n".join(lines)
 
@@ -138,15 +145,10 @@ def _same(read: Any, expected: Any, place: str) -> None:
 
 
 def _independent(text: str) -> Any:
-    reader = YAML(typ="safe", pure=True)
     try:
-        return reader.load(text)
+        return YAML(typ="safe", pure=True).load(text)
     except YAMLError as error:
-        # YAML permits tabs between a key and its value, ruamel.yaml does not.
-        without = re.sub(r"(?<=[-:,\[ ])\t", " ", text)
-        if without != text:
-            return _independent(without)
-        raise Broken(f"ruamel.yaml refuses the text: {error!s:.300}") from error
+        raise NoComparison from error
 
 
 def yaml(generator: random.Random) -> str:
@@ -339,6 +341,10 @@ def image(generator: random.Random) -> str:
         read = read_photograph(path)
     except ImageRefused as error:
         return _refusal(error)
+    if read.pixels.shape[::-1] != picture.size:
+        return "read with another size"  # refused by every verb, as it is not the calibration's
+    if re.match(rb"P[56]\s+\d+\s+\d+\s+(?!(255|65535)\s)", data):
+        return "read without comparison"  # Pillow scales the values to the stated maximum
     _compare_image(read.pixels, read.bits, bytes(data))
     return "accepted"
 
@@ -347,6 +353,7 @@ def _compare_image(pixels: np.ndarray, bits: int, data: bytes) -> None:
     """Compare grey pixels with those that Pillow reads."""
     try:
         opened = PIL.Image.open(io.BytesIO(data))
+        opened.draft("L", opened.size)  # JPEG: without a conversion from its own grey to RGB
         opened.load()
     except Exception as error:
         raise Broken(f"Pillow refuses the image: {error!s:.200}") from error
@@ -358,10 +365,8 @@ def _compare_image(pixels: np.ndarray, bits: int, data: bytes) -> None:
         expected = np.asarray(opened.convert("RGB").convert("L")).astype(int)
     if pixels.shape != expected.shape:
         raise Broken(f"{opened.format} {opened.mode}: {pixels.shape} was read of {expected.shape}")
-    # The two decoders of JPEG, WebP and CMYK round differently.
-    most = {"JPEG": 40, "WEBP": 12}.get(opened.format or "", 2)
-    if opened.mode == "CMYK":
-        most = 40
+    # The decoders of WebP and the conversions of CMYK round differently.
+    most = 12 if opened.format == "WEBP" else 40 if opened.mode == "CMYK" else 2
     apart = np.abs(pixels - expected)
     if apart.max() > most:
         raise Broken(f"{opened.format} {opened.mode}: pixels differ by up to {apart.max()}")
@@ -382,20 +387,22 @@ def _bag() -> bytes:
     return (_folder() / "bag" / "bag.mcap").read_bytes()
 
 
-def _mcap_records(data: bytes) -> list[bytes]:
+def _mcap_records(data: bytes) -> tuple[list[bytes], bytes]:
+    """Return the records of a bag up to the end of its data, and the rest of the file."""
     records, place = [], 8
-    while place + 9 <= len(data) - 8:
+    while data[place] != DATA_END:
         (length,) = struct.unpack_from("<Q", data, place + 1)
         records.append(data[place : place + 9 + length])
         place += 9 + length
-    return records
+    return records, data[place:]
 
 
 def mcap(generator: random.Random) -> str:
     """The bag of a run, with lost, repeated and exchanged records and changed bytes."""
     data = _bag()
-    records = _mcap_records(data)
-    for _ in range(generator.choice((0, 1, 2))):
+    records, summary = _mcap_records(data)
+    # Two such damages can cancel out: a chunk lost, and another of the same size repeated.
+    for _ in range(generator.choice((0, 1))):
         k, other = generator.randrange(len(records)), generator.randrange(len(records))
         what = generator.randrange(4)
         if what == 0:
@@ -410,7 +417,7 @@ def mcap(generator: random.Random) -> str:
             for _ in range(generator.randint(1, 3)):
                 changed[generator.randrange(min(len(changed), 49))] = generator.randrange(256)
             records[k] = bytes(changed)
-    made = bytearray(data[:8] + b"".join(records) + data[:8])
+    made = bytearray(data[:8] + b"".join(records) + summary)
     if generator.random() < 0.3:
         del made[generator.randrange(len(made)) :]
     path = _folder() / "bag.mcap"
@@ -452,6 +459,18 @@ TARGETS: dict[str, Callable[[random.Random], str]] = {
 """The readers by name. Each makes a file, reads it, and returns the outcome."""
 
 
+def outcome_of(name: str, seed: int) -> str:
+    """Damage one file and read it. Return the outcome.
+
+    Raises:
+        Broken: the reader accepted the file with a wrong value, or its message is no sentence.
+    """
+    try:
+        return TARGETS[name](random.Random(seed))
+    except NoComparison:
+        return "accepted without comparison"
+
+
 def main() -> int:
     """Damage ``--count`` files for each reader. Return 1 if a reader failed."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -466,7 +485,7 @@ def main() -> int:
         for number in range(arguments.seed, arguments.seed + arguments.count):
             began = time.process_time()
             try:
-                outcome = TARGETS[name](random.Random(number))
+                outcome = outcome_of(name, number)
             except Exception as error:
                 outcome = "FAILED"
                 if outcomes[outcome] < 10:

@@ -110,8 +110,8 @@ def _check_energy(tapper: TapperSection, result: TapperCalibration) -> None:
         replace(tapper, energies=result.energies, speeds=result.speeds).curve()
     except ValueError as error:
         raise CalibrationRefused(
-            f"the calibrated curve is impossible: {error}; name the column of the record energy_mJ "
-            "if its values are in mJ"
+            f"the calibrated curve is impossible: {error}. In the record, check the unit in the "
+            "name of its column (energy in J, energy_mJ in mJ)"
         ) from error
 
 
