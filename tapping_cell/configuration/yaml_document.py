@@ -135,7 +135,7 @@ class _Document:
         lines: dict[Any, int] = {}
         while not isinstance(event := next(self._events), yaml.MappingEndEvent):
             key = self._value(event, depth + 1)
-            if isinstance(key, (list, dict)):
+            if key is None or isinstance(key, (list, dict)):
                 raise _error("a key must be a word or a number", event)
             if key in values:
                 first = f"the key '{key}' appears twice, first in line {lines[key]}"

@@ -147,7 +147,7 @@ def _same(read: Any, expected: Any, place: str) -> None:
 def _independent(text: str) -> Any:
     try:
         return YAML(typ="safe", pure=True).load(text)
-    except YAMLError as error:
+    except (YAMLError, ValueError) as error:  # ValueError: a date such as 2026-99-99
         raise NoComparison from error
 
 
