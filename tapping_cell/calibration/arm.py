@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -42,6 +42,9 @@ RECORD_COLUMNS = (
     Column("theta", "rad", -20.0, 20.0, required=False),
 )
 """Columns of the record file; each row is one pose."""
+_COLUMNS = ("shoulder", "elbow", "tool", "x", "y")
+_EXCHANGES = (("x", "y"), ("shoulder", "elbow"), ("elbow", "tool"), ("shoulder", "tool"))
+"""Columns that are easily confused."""
 _LOOSE = {"m": 0.005, "rad": np.radians(1.0)}
 """Maximum standard deviation of a fitted length (m) or angle (rad). If the poses determine a value
 less accurately, it is not fitted, and the cell file's value is kept."""
@@ -70,6 +73,10 @@ _IN_WORDS = {
     "upper_arm": "length of the upper arm",
     "forearm": "length of the forearm",
 }
+
+
+class RowsDoNotFit(CalibrationRefused):
+    """No arm fits the rows of the record."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -142,8 +149,34 @@ def calibrate_arm(
     """Fit the base pose, the elbow's offset, the mount and, if ``links``, the link lengths.
 
     Raises:
-        CalibrationRefused: there are too few poses, or they do not determine the base pose.
+        CalibrationRefused: there are too few poses, they do not determine the base pose, or the
+            rows do not fit. If the rows fit after two columns are exchanged, the message says so.
     """
+    try:
+        return _calibrate(record, geometry, links)
+    except RowsDoNotFit as error:
+        for first, second in _EXCHANGES:
+            try:
+                result = _calibrate(_exchanged(record, first, second), geometry, links)
+            except CalibrationRefused:
+                continue
+            raise CalibrationRefused(
+                f"the rows fit only after the columns {first} and {second} are exchanged (then "
+                f"they deviate by {1e3 * result.position_rms:.2f} mm); exchange their names in the "
+                "header"
+            ) from error
+        raise
+
+
+def _exchanged(record: ArmRecord, first: str, second: str) -> ArmRecord:
+    """Return the record with two of its columns exchanged."""
+    table = np.hstack([record.joints, record.points])
+    columns = [_COLUMNS.index(first), _COLUMNS.index(second)]
+    table[:, columns] = table[:, columns[::-1]]
+    return replace(record, joints=table[:, :3], points=table[:, 3:])
+
+
+def _calibrate(record: ArmRecord, geometry: ScaraGeometry, links: bool) -> ArmCalibration:
     different = len(np.unique(np.round(record.joints / _ALIKE), axis=0))
     if different < MIN_POSES:
         raise CalibrationRefused(
@@ -313,7 +346,7 @@ def _robust(
             again &= np.abs(turns) <= _OUTLIER * sigma[1]
         needed = max(MIN_POSES, len(record.rows) // 2)
         if again.sum() < needed:
-            raise CalibrationRefused(
+            raise RowsDoNotFit(
                 f"only {int(again.sum())} of {len(record.rows)} rows are consistent with one arm; "
                 f"at least {needed} are needed. Check that the joint values come from the "
                 "controller in the right unit, and that the marker is the same in all rows"
@@ -322,7 +355,7 @@ def _robust(
             break
         used = again
     if sigma[0] > _WORST_SPREAD:
-        raise CalibrationRefused(
+        raise RowsDoNotFit(
             "no arm with these links fits the rows: half of them deviate by more than "
             f"{sigma[0] * 1.2e3:.0f} mm. Check that the columns are the controller's joint "
             "values in the right unit and order, and that the link lengths in the cell file "

@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from tapping_cell.configuration.hints import number_hint
+from tapping_cell.configuration.hints import conflict_hint, number_hint
 from tapping_cell.se2 import Array
 
 UNITS: dict[str, dict[str, float]] = {
@@ -38,6 +38,12 @@ UNITS: dict[str, dict[str, float]] = {
 }
 """Suffixes of column names and their factors, for each SI unit."""
 
+RECORDS = {
+    "calibrate arm": ("shoulder", "elbow", "tool", "x", "y"),
+    "calibrate tapper": ("energy", "distance"),
+    "calibrate mounts": ("tapper", "speed", "x_before", "y_before"),
+}
+"""Required columns that show for which verb a record was made."""
 _SEPARATORS = ",;\t|"
 _SPACE = "[ \u00a0\u2009\u202f'\u2019]"
 
@@ -155,6 +161,12 @@ def read_csv(
     missing += [name for name in texts if name not in text_columns]
     if missing:
         wanted = ", ".join(_described(c) for c in columns if c.name in missing)
+        for verb, names in RECORDS.items():
+            if all(any(h == name or h.startswith(f"{name}_") for h in header) for name in names):
+                raise RecordError(
+                    f"{path}: no column {', '.join(missing)}; with {', '.join(names)} in its "
+                    f"header, it is a record for `{verb}`"
+                )
         raise RecordError(
             f"{path}, row {lines[0][0]}: no column {', '.join(missing)}; the header is"
             f" {', '.join(header)}. Add {wanted or ', '.join(missing)}"
@@ -164,7 +176,7 @@ def read_csv(
     refusals: list[RecordError] = []
     for mark in _decimal_marks(path, lines, places, set(text_columns.values()), separator):
         try:
-            tables.append((mark, _table(path, lines, places, text_columns, mark)))
+            tables.append((mark, _table(path, lines, places, text_columns, mark, separator)))
         except RecordError as error:
             refusals.append(error)
     if not tables:
@@ -180,6 +192,7 @@ def _table(
     places: Sequence[_Place],
     text_columns: dict[str, int],
     mark: str,
+    separator: str,
 ) -> CsvTable:
     """Build the table with a decimal mark.
 
@@ -199,6 +212,13 @@ def _table(
             faults.append(RowFault(path, row, reason))
     _check_units(path, places, outside, len(lines) - 1)
     if not rows:
+        longer = all(len(header) < len(cells) <= 2 * len(header) for _, cells in lines[1:])
+        if separator == "," and longer and len(lines) > 1:
+            raise RecordError(
+                f"{path}: the header has {len(header)} columns, but row {lines[1][0]} has "
+                f"{len(lines[1][1])} cells: the comma seems to be decimal mark and separator; "
+                "write decimal points, or separate the cells with semicolons"
+            )
         reasons = "; ".join(f"row {fault.row}: {fault.reason}" for fault in faults[:3])
         raise RecordError(f"{path}: no row is usable ({reasons or 'it has no rows'})")
     table = np.array(kept, dtype=float).reshape(len(rows), len(places))
@@ -227,6 +247,8 @@ def _text(path: Path) -> str:
         raise RecordError(f"{path}: is not UTF-8 text; save it as CSV in UTF-8") from error
     if "\0" in text:
         raise RecordError(f"{path}: contains NUL characters; save it as CSV in UTF-8")
+    if conflict := conflict_hint(text):
+        raise RecordError(f"{path}: {conflict}")
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
@@ -330,6 +352,16 @@ def _decimal_marks(
             f"{path}: row {row} has the number {cell!r}, row {other_row} has {other!r}: write all "
             "numbers with the same decimal mark"
         )
+    for mark in fitting[: len(fitting) == 1]:
+        either = [one for one in own if len(_values(one[1])) == 2]
+        deciding = [one for one in own if not all(p.fullmatch(one[1]) for p in _MARKS.values())]
+        if len(either) > 3 * len(deciding):
+            (row, cell), (other_row, other) = deciding[0], either[0]
+            raise RecordError(
+                f"{path}: {cell!r} in row {row} would turn {other!r} in row {other_row} and "
+                f"{len(either) - 1} other numbers into {_number(other, mark):.12g} and the like; "
+                "write all numbers with the same decimal mark, without separators between thousands"
+            )
     others = [m for m in fitting if all(_MARKS[m].fullmatch(cell) for _, _, cell in cells)]
     return others or fitting
 
@@ -362,6 +394,11 @@ def _check_same(
         "the numbers without separators between thousands, and with a decimal point in a file "
         "with commas between the cells"
     )
+
+
+def _values(cell: str) -> set[float]:
+    """Return the values that a cell may have, with a decimal point and with a decimal comma."""
+    return {_number(cell, mark) for mark, pattern in _MARKS.items() if pattern.fullmatch(cell)}
 
 
 def _number(cell: str, mark: str) -> float:

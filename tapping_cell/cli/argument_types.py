@@ -9,6 +9,8 @@ import re
 from collections.abc import Callable
 from typing import Any
 
+from tapping_cell.configuration.hints import number_hint
+
 _NAMESPACE = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*/?")
 LONGEST_NAMESPACE = 200
 
@@ -24,7 +26,7 @@ def finite(text: str) -> float:
     except ValueError:
         number = math.nan
     if not math.isfinite(number):
-        raise argparse.ArgumentTypeError(f"'{text}' is not a finite number")
+        raise argparse.ArgumentTypeError(f"'{text}' is not a finite number{number_hint(text)}")
     return number
 
 
@@ -47,7 +49,8 @@ def whole_number(text: str) -> int:
     try:
         return int(text)
     except ValueError:
-        raise argparse.ArgumentTypeError(f"'{text}' is not a whole number") from None
+        hint = number_hint(text)
+        raise argparse.ArgumentTypeError(f"'{text}' is not a whole number{hint}") from None
 
 
 def whole(lowest: int, highest: int) -> Callable[[str], int]:

@@ -33,6 +33,7 @@ from tapping_cell.cli.session import NotReadyInTime
 from tapping_cell.cli.signals import end_on_signals
 from tapping_cell.cli.start_checks import require_folder
 from tapping_cell.configuration.schema import ConfigurationError
+from tapping_cell.durable_file import replace_text
 from tapping_cell.nodes.clients.single_tap_client import NoAnswer
 from tapping_cell.report.rendering import render
 
@@ -194,5 +195,5 @@ def write_page(
         seconds=sum(float(proof["seconds"]) for proof in proofs.values()),
     )
     page = folder / PAGE
-    page.write_text(text, encoding="utf-8")
+    replace_text(page, text)
     return page

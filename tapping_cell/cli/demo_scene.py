@@ -17,6 +17,7 @@ from tapping_cell.configuration.layout_file import LayoutFile
 from tapping_cell.configuration.objects import ObjectFile
 from tapping_cell.configuration.schema import ConfigurationError, load, read_yaml
 from tapping_cell.configuration.yaml_document import format_yaml
+from tapping_cell.durable_file import replace_text
 from tapping_cell.planning import FreeSpace, make_planner
 from tapping_cell.planning.evaluation.arrangements import Kind, draw_places, swapped_goals
 from tapping_cell.se2 import Pose
@@ -154,7 +155,7 @@ def _mapping(path: Path) -> dict[str, Any]:
 
 
 def _write(path: Path, content: dict[str, Any]) -> None:
-    path.write_text(format_yaml(content), encoding="utf-8")
+    replace_text(path, format_yaml(content))
 
 
 def _numbers(pose: Pose) -> list[float]:

@@ -66,14 +66,16 @@ def share_text(part: int, whole: int) -> str:
 
 def refuse_faulty(arguments: argparse.Namespace, cell: Cell) -> None:
     """Raise ConfigurationError if the options name a cell file with contradictions, as
-    ``check-config`` reports them, and not ``--force``."""
-    if arguments.cell is None or arguments.force:
+    ``check-config`` reports them. With ``--force``, print them as a warning."""
+    if arguments.cell is None:
         return
     errors, _ = conflicts(cell)
-    if errors:
+    if errors and not arguments.force:
         raise ConfigurationError(
-            f"{'; '.join(errors)}: correct this, or evaluate the cell nevertheless with --force"
+            f"{'; '.join(errors)}. Correct this, or evaluate the cell nevertheless with --force"
         )
+    for error in errors:
+        print(f"warning: check-config refuses this cell: {error}", file=sys.stderr)
 
 
 def si_pair(pair: tuple[float, float]) -> tuple[float, float]:

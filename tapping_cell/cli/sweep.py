@@ -25,6 +25,7 @@ from typing import Any
 
 import numpy as np
 
+from tapping_cell.durable_file import replace_text
 from tapping_cell.planning import PlanningError
 
 CONNECTION_DEADLINE = "10s"
@@ -146,7 +147,7 @@ class KeptPoints:
         whole = text[: text.rfind("\n") + 1]
         if whole != text:
             # Remove a line that an interruption left incomplete.
-            self._file.write_text(whole, encoding="utf-8")
+            replace_text(self._file, whole)
         for line in whole.splitlines():
             kept = json.loads(line)
             if kept["common"] != self._common:

@@ -48,6 +48,7 @@ from tapping_cell.configuration.cell import (
     refuse_own_drivers,
     refuse_simulated_ports,
 )
+from tapping_cell.configuration.conflicts import port_errors
 from tapping_cell.configuration.schema import ConfigurationError, read_yaml
 from tapping_cell.nodes.cell_identity import cell_key
 from tapping_cell.nodes.clients.cell_client import CellClient
@@ -270,10 +271,13 @@ def require_devices(cell: Cell, arguments: argparse.Namespace) -> None:
     """Check that the camera and both ports exist, before anything is started.
 
     Raises:
-        ConfigurationError: a device is missing. The message names all missing devices.
+        ConfigurationError: two parts of the cell have the same port, or a device is missing. The
+            message names all missing devices.
     """
     given = arguments.params.read_text(encoding="utf-8") if arguments.params else ""
     missing = []
+    if "port:" not in given and (wrong := port_errors(cell)):
+        raise ConfigurationError(wrong[0])
     arm = () if cell.file.arm is None else (("arm", cell.file.arm.port),)
     for name, port in (*arm, *(("tapper", board.port) for board in cell.boards)):
         # If the parameter file names a port, the node possibly does not use the port in the cell

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
-from itertools import pairwise
+from itertools import combinations, pairwise
 from pathlib import Path
 from typing import Any, Literal
 
@@ -36,12 +37,27 @@ from tapping_cell.mechanics import Striker
 from tapping_cell.se2 import Pose
 from tapping_cell.vision import CameraModel, ReferenceMap, marker_ids
 
+STANDARD_BAUDS = (
+    *(1200, 2400, 4800, 9600, 14_400, 19_200, 28_800, 31_250, 38_400, 57_600, 74_880, 76_800),
+    *(115_200, 128_000, 153_600, 230_400, 250_000, 256_000, 307_200, 460_800, 500_000, 576_000),
+    *(614_400, 921_600, 1_000_000, 1_152_000, 1_228_800, 1_500_000, 2_000_000, 2_500_000),
+    *(3_000_000, 3_500_000, 4_000_000),
+)
+"""Usual baud rates. Others are possible, but not within 5 % of one of these: such a rate would work
+only sometimes, and is probably a mistake."""
+LEAST_ENERGY = 0.005
+"""Minimum ratio of the striker's kinetic energy to the charged energy at the best point of a curve.
+Coil drives reach 0.01 to 0.1, springs 0.3 to 1; energies in mJ in place of J give less than
+0.001."""
 FourNumbers = tuple[float, float, float, float]
 ARM_TAPPER = "tapper"
 """Name of the tapper that the arm carries."""
 MOST_ENERGY = 1.2
 """Maximum ratio of the striker's kinetic energy to the charged energy. It would be 1 without the
 error of a calibration: the calibrated energy is proportional to the assumed friction."""
+LARGEST_FILE_ANGLE_TOLERANCE = 0.4
+"""Maximum angle tolerance in a file, rad. A larger value is probably in degrees; a program may send
+a goal with a larger tolerance."""
 LONGEST_FLIGHT_S = 2.0
 """Maximum time of flight of a striker, in s. The arm must stand still during the flight."""
 
@@ -89,6 +105,35 @@ class KeepOutSection:
         default=(),
     )
 
+    def __post_init__(self) -> None:
+        """Raise ValueError for a polygon whose edges cross."""
+        for number, corners in enumerate(self.polygons):
+            if len(corners) < 3:
+                raise ValueError(
+                    f"'polygons[{number}]' has {len(corners)} corners, but needs at least 3"
+                )
+            if crossing := crossing_edges(corners):
+                first, second = crossing
+                raise ValueError(
+                    f"in 'polygons[{number}]' the edge after corner {first + 1} crosses the edge "
+                    f"after corner {second + 1}; give the corners in their order along the outline"
+                )
+
+
+def crossing_edges(corners: Sequence[tuple[float, float]]) -> tuple[int, int] | None:
+    """Return the indices of the corners at which two edges of a polygon begin that cross; None if
+    no edges cross."""
+
+    def side(a: tuple[float, float], b: tuple[float, float], c: tuple[float, float]) -> float:
+        return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+
+    ends = (*corners[1:], *corners[:1])
+    edges = enumerate(zip(corners, ends, strict=True))
+    for (first, (a, b)), (second, (c, d)) in combinations(edges, 2):
+        if side(a, b, c) * side(a, b, d) < 0.0 and side(c, d, a) * side(c, d, b) < 0.0:
+            return first, second
+    return None
+
 
 @dataclass(frozen=True, slots=True)
 class ChainSection:
@@ -104,7 +149,7 @@ class ChainSection:
     tool: tuple[float, float, float, float, float, float] = quantity(
         "pose of the striker's tip in tip_link (x, y, z in m, roll, pitch, yaw in rad); the x axis "
         "of the tip points along the line of travel, and its z axis up",
-        "",
+        "m, m, m, rad, rad, rad",
         -7.0,
         7.0,
     )
@@ -117,7 +162,7 @@ class ChainSection:
     )
     mount: tuple[float, float, float, float, float, float] = quantity(
         "pose of base_link in arm_base: x, y, z in m, roll, pitch, yaw in rad",
-        "",
+        "m, m, m, rad, rad, rad",
         -7.0,
         7.0,
         default=(0.0,) * 6,
@@ -181,7 +226,7 @@ class ArmSection:
     """
 
     base: tuple[float, float, float] = quantity(
-        "pose of arm_base in the frame table: x and y in m, angle in rad", "", -7.0, 7.0
+        "pose of arm_base in the frame table: x and y in m, angle in rad", "m, m, rad", -7.0, 7.0
     )
     upper_arm: float = quantity("distance from shoulder axis to elbow axis", "m", 0.02, 3.0)
     forearm: float = quantity("distance from elbow axis to quill axis", "m", 0.02, 3.0)
@@ -194,10 +239,10 @@ class ArmSection:
         "height of the tip above the table when the quill is at zero", "m", 0.0, 2.0
     )
     lower: FourNumbers = quantity(
-        "lower limits of shoulder, elbow, quill and tool: rad, rad, m, rad", "", -20.0, 20.0
+        "lower limits of shoulder, elbow, quill and tool", "rad, rad, m, rad", -20.0, 20.0
     )
     upper: FourNumbers = quantity(
-        "upper limits of shoulder, elbow, quill and tool: rad, rad, m, rad", "", -20.0, 20.0
+        "upper limits of shoulder, elbow, quill and tool", "rad, rad, m, rad", -20.0, 20.0
     )
     max_speed: FourNumbers = quantity(
         "maximum speeds of shoulder, elbow, quill and tool: rad/s, rad/s, m/s, rad/s",
@@ -245,7 +290,7 @@ class ArmSection:
     park: FourNumbers = quantity(
         "joint positions at which the arm waits outside the camera's view: shoulder, "
         "elbow, quill, tool in rad, rad, m, rad",
-        "",
+        "rad, rad, m, rad",
         -20.0,
         20.0,
     )
@@ -276,7 +321,7 @@ class ArmSection:
     )
     home: FourNumbers = quantity(
         "joint positions at the end of homing: shoulder, elbow, quill, tool in rad, rad, m, rad",
-        "",
+        "rad, rad, m, rad",
         -20.0,
         20.0,
         default=(0.0,) * 4,
@@ -352,7 +397,7 @@ class ArmSection:
     joint_offset: FourNumbers = quantity(
         "calibrated offsets of shoulder, elbow, quill and tool: true position minus the "
         "position in the controller, in rad, rad, m, rad",
-        "",
+        "rad, rad, m, rad",
         -1.0,
         1.0,
         default=(0.0,) * 4,
@@ -393,6 +438,7 @@ class ArmSection:
             ValueError: axis_sign or axis_letters are invalid, or keys do not suit the dialect.
         """
         check_letters(self.axis_letters)
+        _check_baud("arm.baud", self.baud)
         self._check_dialect()
         return ArmSettings(
             axis_sign=self.axis_sign,
@@ -484,6 +530,15 @@ class ArmSection:
             link_clearance=self.link_clearance,
             tool_half_width=tapper.tool_radius,
             tool_length=tapper.tool_length,
+        )
+
+
+def _check_baud(key: str, baud: int) -> None:
+    """Raise ValueError for a baud rate that is nearly a standard one."""
+    nearest = min(STANDARD_BAUDS, key=lambda rate: abs(rate - baud))
+    if 0 < abs(baud - nearest) < 0.05 * nearest:
+        raise ValueError(
+            f"key '{key}' is {baud}, which is not a standard baud rate; did you mean {nearest}?"
         )
 
 
@@ -634,6 +689,17 @@ class TapperSection:
                     "and kg, and after calibrate tapper the friction in the object file, which is "
                     f"then at least {kinetic / energy:.3g} times too high"
                 )
+        ratio, energy, speed = max(
+            (0.5 * self.mass * speed**2 / energy, energy, speed) for energy, speed in curve.table
+        )
+        if ratio < LEAST_ENERGY:
+            raise ValueError(
+                f"at {speed:g} m/s ('tapper.speeds') a striker of {self.mass:g} kg "
+                f"('tapper.mass') has m v^2 / 2 = {500 * self.mass * speed**2:.4g} mJ, only "
+                f"{100 * ratio:.2g} % of the charged {1e3 * energy:.4g} mJ ('tapper.energies'; "
+                f"limit {100 * LEAST_ENERGY:g} %); if the energies are in mJ, divide them by "
+                f"1000, here {1e-3 * energy:.4g}; otherwise check the units of mass and speeds"
+            )
         return curve
 
     def output_settings(self) -> OutputTapperSettings:
@@ -647,7 +713,9 @@ class TapperSection:
         return OutputTapperSettings(self.energies, self.output.pulses, self.output.latency)
 
     def check_dialect(self) -> None:
-        """Raise ValueError if keys contradict the dialect or each other."""
+        """Raise ValueError if keys contradict the dialect or each other, or for an unusual baud
+        rate."""
+        _check_baud("tapper.baud", self.baud)
         if self.dialect == "board":
             if self.output is not None:
                 raise ValueError("tapper.output is not used by the dialect board: leave it out")
@@ -758,7 +826,10 @@ class GoalSection:
         "maximum position error at which a goal counts as reached", "m", 0.0001, 0.1
     )
     angle_tolerance: float = quantity(
-        "maximum angle error at which a goal counts as reached", "rad", 0.001, 1.0
+        "maximum angle error at which a goal counts as reached",
+        "rad",
+        0.001,
+        LARGEST_FILE_ANGLE_TOLERANCE,
     )
     planner: str = text(
         "name of the planning method, such as optimal; docs/planning.md describes the methods"

@@ -246,6 +246,19 @@ def _fixed_tappers(cell: Cell) -> Iterator[str]:
             f"{path}: an object at the edge of 'fixed_tappers.working_area' would hang over the "
             "table's edge; make the area smaller or move it"
         )
+    for entry in fixed.tappers:
+        away = x - entry.position[0], y - entry.position[1]
+        cos, sin = math.cos(entry.direction), math.sin(entry.direction)
+        across, along = cos * away[1] - sin * away[0], cos * away[0] + sin * away[1]
+        if along < 0.0 or abs(across) > radius:
+            yield (
+                f"{path}: the line of travel of '{entry.name}' does not meet the working area: it "
+                f"passes the middle at {1e3 * abs(across):.1f} mm (limit: its radius "
+                f"{1e3 * radius:.1f} mm){' behind the tip' if along < 0.0 else ''}; correct "
+                f"'direction' ({entry.direction:.4f} rad; towards the middle it would be "
+                f"{math.atan2(away[1], away[0]):.4f}) or 'position'"
+            )
+            return
     cover = coverage(space)
     if np.any(cover.dead):
         share = 100.0 * float(np.mean(cover.dead))

@@ -27,7 +27,10 @@ _OTHER_UNITS = {
     "m/s": (("mm/s", 1e-3),),
     "rad/s": (("deg/s", math.pi / 180.0),),
     "s": (("ms", 1e-3),),
+    "": (("percent", 1e-2),),
 }
+LARGEST_FRACTION = 2.0
+"""Largest maximum of a number without a unit that may have been written in percent."""
 
 
 def plain_characters(text: str) -> str:
@@ -77,6 +80,8 @@ def number_hint(text: str, unit: str = "") -> str:
         return f"; write a decimal point: {point}"
     if re.fullmatch(r"[-+]?[0-9]{1,3}([ ,.'][0-9]{3})+([.,][0-9]+)?", plain):
         return "; write the number without separators between thousands, and a decimal point"
+    if (found := re.fullmatch(rf"({_NUMBER})\s*%", plain)) and not unit:
+        return f"; write {float(found[1]) / 100:.6g}"
     if found := re.fullmatch(rf"({_NUMBER})\s*([a-zA-Z\u00b0\u00b5%\"/^0-9]+)", plain):
         return f"; write the number without '{found[2]}'" + (f", in {unit}" if unit else "")
     if re.search(r"(pi\b|[0-9]\s*[*/]\s*[0-9])", plain):
@@ -84,9 +89,22 @@ def number_hint(text: str, unit: str = "") -> str:
     return odd
 
 
+def conflict_hint(text: str) -> str:
+    """Return a sentence about the first conflict marker that a merge left in a text; empty if there
+    is none."""
+    found = re.search(r"^(<{7}|={7}|>{7})( .*)?$", text, re.MULTILINE)
+    if found is None or not re.search(r"^(<{7}|>{7}) ", text, re.MULTILINE):
+        return ""
+    line = text.count("\n", 0, found.start()) + 1
+    return (
+        f"line {line} is the marker {found[1]} of a merge conflict; keep one of the two versions "
+        "and delete the lines that begin with <<<<<<<, ======= and >>>>>>>"
+    )
+
+
 def unit_hint(value: float, unit: str, minimum: float, maximum: float) -> str:
     """Return a hint at another unit in which a value is in its range; empty if there is none."""
-    if not abs(value) < 1e12:
+    if not abs(value) < 1e12 or (not unit and maximum > LARGEST_FRACTION):
         return ""
     fitting = [
         f"if the value is in {name}, write {value * factor:.6g}"

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from tapping_cell.configuration.cell import LARGEST_FILE_ANGLE_TOLERANCE
 from tapping_cell.configuration.schema import quantity, section, text
-from tapping_cell.planning.settings import LARGEST_ANGLE_TOLERANCE, LARGEST_POSITION_TOLERANCE
+from tapping_cell.planning.settings import LARGEST_POSITION_TOLERANCE
 
 
 @dataclass(frozen=True, slots=True)
@@ -15,7 +16,7 @@ class LayoutGoal:
     object: str = text("name of the object: the key 'name' of its file")
     pose: tuple[float, float, float] = quantity(
         "goal pose of the object's centre of mass in the frame table: x, y in m, theta in rad",
-        "",
+        "m, m, rad",
         -7.0,
         7.0,
     )
@@ -30,7 +31,7 @@ class LayoutGoal:
         "angle tolerance of the goal; 0 means the tolerance of the cell file",
         "rad",
         0.0,
-        LARGEST_ANGLE_TOLERANCE,
+        LARGEST_FILE_ANGLE_TOLERANCE,
         default=0.0,
     )
 
@@ -64,3 +65,16 @@ class LayoutFile:
         86400.0,
         default=0.0,
     )
+
+    def __post_init__(self) -> None:
+        """Raise ValueError if there is no goal, or two for one object."""
+        names = [goal.object for goal in self.goals]
+        if not names:
+            raise ValueError("'goals' is empty; give at least one")
+        for name in names:
+            if names.count(name) > 1:
+                places = [f"'goals[{k}]'" for k, other in enumerate(names) if other == name]
+                raise ValueError(
+                    f"{' and '.join(places)} are both for the object '{name}'; correct one of the "
+                    "names, or delete one goal"
+                )

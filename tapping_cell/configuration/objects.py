@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,7 @@ from tapping_cell.configuration.schema import (
 )
 from tapping_cell.mechanics import Disk, Impact, Polygon, Ring, Sliding, Striker, Tap
 from tapping_cell.vision import Dot, ObjectMarker, ObjectOutline
+from tapping_cell.vision.outline.shape import centroid
 
 GRAVITY = 9.81
 """Standard acceleration of gravity in m/s^2, rounded because the coefficients of friction are less
@@ -78,7 +80,7 @@ class MarkerSection:
     size: float = quantity("side of the marker's black square", "m", 0.005, 0.5)
     offset: tuple[float, float, float] = quantity(
         "pose of the marker in the object's frame: x and y in m, angle in rad",
-        "",
+        "m, m, rad",
         -7.0,
         7.0,
         default=(0.0, 0.0, 0.0),
@@ -141,6 +143,9 @@ def _area(shape: ShapeSection) -> float:
     return 0.5 * abs(sum(a[0] * b[1] - a[1] * b[0] for a, b in zip(points, turned, strict=True)))
 
 
+MOST_OFF_CENTRE = 0.03
+"""Maximum distance of a polygon's centre from the origin, as a fraction of the square root of its
+area: the error of a measured outline."""
 OVERLAP = 0.001
 """Distance, m, by which a corner of the marker may extend beyond the outline: the error of a
 measured outline."""
@@ -161,6 +166,18 @@ def _check_marker(shape: ShapeSection, marker: MarkerSection) -> None:
                 "'marker.size' (m, side of the black square), 'marker.offset' or 'shape' (radius, "
                 "not diameter), or use a smaller marker"
             )
+
+
+def _check_centre(shape: ShapeSection) -> None:
+    """Raise ValueError if the origin is not the centre of a polygon."""
+    if shape.vertices is None:
+        return
+    x, y = centroid(np.array(shape.vertices)).tolist()
+    if math.hypot(x, y) > MOST_OFF_CENTRE * math.sqrt(_area(shape)):
+        raise ValueError(
+            f"the centre of the polygon is at ({1e3 * x:.1f} mm, {1e3 * y:.1f} mm), but must be "
+            f"the origin; subtract [{x:.5g}, {y:.5g}] from each vertex"
+        )
 
 
 def _beyond(shape: ShapeSection, point: tuple[float, float]) -> float:
@@ -316,8 +333,9 @@ class ObjectFile:
         for word, usual in MATERIALS.items():
             for ratio, cause in _SLIPS.items():
                 if word in self.name.lower() and abs(density / usual / ratio - 1.0) < 0.15:
+                    named = re.findall(rf"\w*{word}\w*", self.name, re.IGNORECASE)[0]
                     raise ValueError(
-                        f"{figures}, but the name says '{word}' ({usual:.0f} kg/m3): {cause}"
+                        f"{figures}, but the name says '{named}' ({usual:.0f} kg/m3): {cause}"
                     )
 
     def check_impact(self, striker: Striker) -> None:
@@ -383,6 +401,7 @@ def load_object(path: Path | str) -> ObjectFile:
     content = load(ObjectFile, path)
     try:
         content.body()
+        _check_centre(content.shape)
     except ValueError as error:
         raise ConfigurationError(f"{path}: key 'shape': {error}") from error
     try:

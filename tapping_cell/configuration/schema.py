@@ -14,7 +14,7 @@ import re
 import types
 import typing
 from collections.abc import Mapping, Sequence
-from dataclasses import MISSING, dataclass, field
+from dataclasses import MISSING, dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -75,7 +75,11 @@ def quantity(
     maximum: float = math.inf,
     default: Any = MISSING,
 ) -> Any:
-    """Declare a number, or a sequence of numbers, each within [minimum, maximum]."""
+    """Declare a number, or a sequence of numbers, each within [minimum, maximum].
+
+    The ``unit`` of a sequence is that of each number, or a list of one unit for each, such as
+    "m, m, rad".
+    """
     limits = Limits(description, unit, minimum, maximum)
     return field(default=default, metadata={"limits": limits})
 
@@ -256,9 +260,11 @@ def _tuple(
         kinds = list(arguments)
     else:
         raise _wrong(source, key, value, f"a list of {len(arguments)} entries", limits)
+    units = limits.unit.split(", ")
+    units = units if len(units) == len(kinds) else [limits.unit] * len(kinds)
     return tuple(
-        _value(kind, entry, limits, source, f"{key}[{index}]")
-        for index, (kind, entry) in enumerate(zip(kinds, value, strict=True))
+        _value(kind, entry, replace(limits, unit=unit), source, f"{key}[{index}]")
+        for index, (kind, entry, unit) in enumerate(zip(kinds, value, units, strict=True))
     )
 
 

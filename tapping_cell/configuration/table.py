@@ -154,12 +154,16 @@ def check_camera(camera: CameraModel) -> None:
     off = max(abs(column - 0.5), abs(row - 0.5))
     same = abs(column - row) < 0.03
     if off > (OFF_CENTRE if same else MOST_OFF_CENTRE):
+        # Pixel coordinates count from the centre of the first pixel.
+        fits = 2.0 * camera.cx + 1.0, 2.0 * camera.cy + 1.0
+        remedy = "correct image_width and image_height, or calibrate the camera at this resolution"
+        if max(abs(fits[0] / camera.height - 1.0), abs(fits[1] / camera.width - 1.0)) < 0.1:
+            remedy = "image_width and image_height seem to be exchanged"
         raise ValueError(
             f"key 'camera_matrix': the principal point ({camera.cx:.1f}, {camera.cy:.1f}) lies at "
             f"{100 * column:.0f} % of the image's width and {100 * row:.0f} % of its height, but "
-            f"should be near its centre; the matrix fits an image of about {2 * camera.cx:.0f} x "
-            f"{2 * camera.cy:.0f} pixels, not {camera.width} x {camera.height}: correct "
-            "image_width and image_height, or calibrate the camera at this resolution"
+            f"should be near its centre; the matrix fits an image of about {fits[0]:.0f} x "
+            f"{fits[1]:.0f} pixels, not {camera.width} x {camera.height}: {remedy}"
         )
     ratio = camera.fx / camera.fy
     if not 0.9 < ratio < 1.1:
@@ -209,6 +213,12 @@ def _numbers(document: dict[str, Any], key: str) -> list[float]:
     data = _entry(matrix, "data", f"{key}.")
     if not isinstance(data, list):
         raise ValueError(f"key '{key}.data' is {data!r}, but must be a list of numbers")
+    rows, columns = (matrix.get(name, 0) for name in ("rows", "cols"))
+    if isinstance(rows, int) and isinstance(columns, int) and rows * columns not in (0, len(data)):
+        raise ValueError(
+            f"key '{key}' has {rows} rows and {columns} cols, but {len(data)} numbers in 'data'; "
+            "correct one of them"
+        )
     return [_number(value, f"{key}.data[{index}]") for index, value in enumerate(data)]
 
 
@@ -223,7 +233,9 @@ def _number(value: Any, key: str) -> float:
             f"key '{key}' is an integer beyond +-1.8e308, the limit of numbers; correct it"
         ) from error
     if not math.isfinite(number):
-        raise ValueError(f"key '{key}' is {value}, but must be a finite number")
+        raise ValueError(
+            f"key '{key}' is {value}, but must be a finite number; calibrate the camera again"
+        )
     return number
 
 

@@ -14,7 +14,7 @@ from typing import Any
 
 import yaml
 
-from tapping_cell.configuration.hints import character_hint
+from tapping_cell.configuration.hints import character_hint, conflict_hint
 
 DEEPEST = 40
 """Maximum depth of nested lists and mappings."""
@@ -50,6 +50,8 @@ def parse_yaml(text: str) -> Any:
     Raises:
         YamlError: the text is malformed, nested too deeply or ambiguous, or a key appears twice.
     """
+    if conflict := conflict_hint(text):
+        raise YamlError(f"malformed YAML: {conflict}")
     try:
         return _Document(text).read()
     except yaml.YAMLError as error:
@@ -130,12 +132,15 @@ class _Document:
 
     def _mapping(self, depth: int) -> dict[Any, Any]:
         values: dict[Any, Any] = {}
+        lines: dict[Any, int] = {}
         while not isinstance(event := next(self._events), yaml.MappingEndEvent):
             key = self._value(event, depth + 1)
-            if isinstance(key, (list, dict)):
+            if key is None or isinstance(key, (list, dict)):
                 raise _error("a key must be a word or a number", event)
             if key in values:
-                raise _error(f"the key '{key}' appears twice", event)
+                first = f"the key '{key}' appears twice, first in line {lines[key]}"
+                raise _error(f"{first}; delete one of them", event)
+            lines[key] = getattr(event.start_mark, "line", 0) + 1
             values[key] = self._value(next(self._events), depth + 1)
         return values
 

@@ -77,6 +77,7 @@ def chain_from_urdf(
                 f"joint {joint.get('name')} is of type {joint.get('type')}, which is not supported"
             )
     names = [joint.name for joint in found]
+    _check_on_chain(joint_elements, joints, names, f"{base_link} to {tip_link}")
     if names != list(joints):
         raise ValueError(
             f"its joints from {base_link} to {tip_link} are {', '.join(names)}, but"
@@ -85,11 +86,40 @@ def chain_from_urdf(
     return SerialChain(tuple(found), base, before @ tool)
 
 
+def _check_on_chain(
+    elements: Sequence[ElementTree.Element],
+    joints: Sequence[str],
+    names: Sequence[str],
+    chain: str,
+) -> None:
+    """Raise ValueError for the first of ``joints`` that is not among ``names``, the chain's."""
+    by_name = {element.get("name", ""): element for element in elements}
+    for index, name in enumerate(joints):
+        if name not in by_name:
+            raise ValueError(
+                f"it has no joint {name} (arm.ros2_control.joints); its joints are "
+                f"{', '.join(by_name)}"
+            )
+        if name in names:
+            continue
+        cause = f"its joint {name} (arm.ros2_control.joints) is not on the way from {chain}"
+        child = _link(by_name[name], "child")
+        following = next((by_name[other] for other in joints[index + 1 :] if other in names), None)
+        if following is None or child in (_link(element, "parent") for element in elements):
+            raise ValueError(f"{cause}; leave it out, or correct base_link and tip_link")
+        raise ValueError(
+            f"{cause}: no joint has its child {child} as parent; correct the parent of "
+            f"{following.get('name')}, which is {_link(following, 'parent')}"
+        )
+
+
 def _robot(text: str) -> ElementTree.Element:
     """Return the element ``robot`` of a URDF."""
     expand = "expand the xacro file with: xacro FILE > arm.urdf"
     if len(text) > LARGEST_TEXT:
         raise ValueError(f"it has {len(text) / 1e6:.0f} MB (limit {LARGEST_TEXT / 1e6:.0f} MB)")
+    if re.search("^<<<<<<< ", text, re.MULTILINE):
+        raise ValueError("it contains markers of a merge conflict; keep one of the two versions")
     try:
         robot = ElementTree.fromstring(text)
         named: list[Any] = [

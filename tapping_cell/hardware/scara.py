@@ -166,8 +166,10 @@ class ScaraGeometry:
             )
         for name, low, high in zip(Joints._fields, self.lower, self.upper, strict=True):
             if not low < high:
+                swapped = all(a >= b for a, b in zip(self.lower, self.upper, strict=True))
+                remedy = "exchange 'lower' and 'upper'" if swapped else "correct one of them"
                 raise ValueError(
-                    f"limits of joint {name}: lower {low:g} is not below upper {high:g}"
+                    f"limits of joint {name}: lower {low:g} is not below upper {high:g}; {remedy}"
                 )
         for label, values in (("speed", self.max_speed), ("acceleration", self.max_acceleration)):
             if not all(value > 0 for value in values):

@@ -242,20 +242,23 @@ def _convex(vertices: Iterable[Iterable[float]]) -> Array:
         raise InvalidBodyError(f"polygon vertex {i} at {raw[i].tolist()} m appears twice.")
     following = np.roll(edges, -1, axis=0)
     turn = np.arctan2(cross(edges, following), np.einsum("ij,ij->i", edges, following))
+    corner = np.roll(np.arange(len(points)), -1)
     if turn.sum() < 0:
         points = points[::-1]
-        turn = -turn[::-1]
+        turn, corner = -turn[::-1], corner[::-1]
     straight = 1e-9
     if turn.min() < -straight or turn.max() > math.pi - straight:
         i = int(turn.argmin() if turn.min() < -straight else turn.argmax())
         raise InvalidBodyError(
-            f"polygon has a turn of {math.degrees(turn[i]):.6g} degrees at one vertex; a convex "
-            "polygon turns by 0 to 180 degrees at each vertex, always in the same sense."
+            f"polygon turns by {math.degrees(turn[i]):.6g} degrees at vertex {corner[i]} "
+            f"{raw[corner[i]].tolist()}, counted from 0; a convex polygon turns by 0 to 180 "
+            "degrees at each vertex; give the vertices in their order along the outline."
         )
     winding = turn.sum() / (2 * math.pi)
     if abs(winding - 1) > 1e-6:
         raise InvalidBodyError(
-            f"polygon winds {winding:.3g} times around its centre; its edges must not cross."
+            f"polygon winds {winding:.3g} times around its centre, so its edges cross; give the "
+            "vertices in their order along the outline."
         )
     area = _area_moments(points)[0]
     if area <= 1e-12 * size**2:

@@ -274,8 +274,12 @@ def read_bag(path: Path) -> Bag:
                     messages.append(Recorded(channels[key], stamp, bytes(body[22:])))
                 elif kind == _STATISTICS:
                     (written,) = struct.unpack_from("<Q", body)
-                    lost = max(0, written - len(messages))
-                    missing = f"{file} lacks {lost} of its {written} messages" if lost else ""
+                    count, missing = len(messages), ""
+                    if count < written:
+                        missing = f"{file} lacks {written - count} of its {written} messages"
+                    elif count > written > 0:
+                        missing = f"{file} has {count} messages, but states {written}; some may "
+                        missing += "be there twice"
     except OSError as error:
         raise BagError(f"{file} cannot be read ({error.strerror})") from error
     except _DAMAGED as error:

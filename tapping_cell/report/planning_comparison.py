@@ -14,6 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
+from tapping_cell.durable_file import replace_text
 from tapping_cell.planning import Planner, PlannerSettings, planner_names
 from tapping_cell.planning.evaluation.task import End, Results
 from tapping_cell.planning.interface import Array
@@ -111,8 +112,8 @@ def write_comparison(
     """Write ``comparison.md``, ``comparison.json``, ``trials.csv`` and the plots; create the folder
     if missing."""
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / "comparison.md").write_text(comparison_table(rows) + "\n", encoding="utf-8")
-    (folder / "comparison.json").write_text(json.dumps(rows, indent=2) + "\n", encoding="utf-8")
+    replace_text(folder / "comparison.md", comparison_table(rows) + "\n")
+    replace_text(folder / "comparison.json", json.dumps(rows, indent=2) + "\n")
     _write_trials(trials, folder / "trials.csv")
     draw_histograms(rows, folder / "planning_taps.png")
     draw_success(rows, folder / "planning_success.png")

@@ -14,6 +14,8 @@ from matplotlib.patches import PathPatch
 from matplotlib.path import Path as Outline
 from numpy.typing import NDArray
 
+from tapping_cell.durable_file import part_of
+
 _INCH = 0.0254
 _POINT = _INCH / 72.0
 _LINE = 0.0002
@@ -45,10 +47,11 @@ def write_pdf(path: Path, pages: Sequence[PrintedPage], title: str) -> None:
     Raises:
         OSError: the file cannot be written.
     """
-    with matplotlib.rc_context({"pdf.fonttype": 42}), PdfPages(path) as file:
+    with matplotlib.rc_context({"pdf.fonttype": 42}), PdfPages(part_of(path)) as file:
         file.infodict()["Title"] = title
         for page in pages:
             file.savefig(_figure(page))
+    part_of(path).replace(path)
 
 
 def write_png(path: Path, page: PrintedPage, dpi: float) -> None:
@@ -57,7 +60,8 @@ def write_png(path: Path, page: PrintedPage, dpi: float) -> None:
     Raises:
         OSError: the file cannot be written.
     """
-    _figure(page).savefig(path, dpi=dpi)
+    _figure(page).savefig(part_of(path), dpi=dpi, format="png")
+    part_of(path).replace(path)
 
 
 def _figure(page: PrintedPage) -> Figure:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
+from tapping_cell.durable_file import replace_text
 from tapping_cell.report import single_tap_figures as figures
 from tapping_cell.report.photograph import data_url
 from tapping_cell.report.rendering import render
@@ -43,7 +44,7 @@ def write_page(report: SingleTapReport, folder: Path) -> Path:
         errors=[_errors(run) for run in report.runs],
     )
     page = folder / PAGE
-    page.write_text(text, encoding="utf-8")
+    replace_text(page, text)
     return page
 
 

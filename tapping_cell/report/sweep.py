@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import csv
+import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from matplotlib.figure import Figure
+
+from tapping_cell.durable_file import replace_text
 
 Row = tuple[Mapping[str, float | str], Mapping[str, Any]]
 COLUMNS = (
@@ -68,12 +71,13 @@ def sweep_table(rows: Sequence[Row]) -> str:
 def write_sweep(folder: Path, rows: Sequence[Row]) -> None:
     """Write ``sweep.csv``, ``sweep.md`` and ``sweep.png``; the x axis is the first parameter."""
     names = list(rows[0][0])
-    with (folder / "sweep.csv").open("w", encoding="utf-8", newline="") as stream:
-        writer = csv.writer(stream)
-        writer.writerow([*names, *COLUMNS])
-        for point, figures in rows:
-            writer.writerow([*point.values(), *sweep_numbers(figures).values()])
-    (folder / "sweep.md").write_text(sweep_table(rows) + "\n", encoding="utf-8")
+    table = io.StringIO(newline="")
+    writer = csv.writer(table)
+    writer.writerow([*names, *COLUMNS])
+    for point, figures in rows:
+        writer.writerow([*point.values(), *sweep_numbers(figures).values()])
+    replace_text(folder / "sweep.csv", table.getvalue())
+    replace_text(folder / "sweep.md", sweep_table(rows) + "\n")
     _plot(names, rows).savefig(folder / "sweep.png", dpi=120)
 
 

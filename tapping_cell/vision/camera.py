@@ -125,6 +125,12 @@ class CameraModel:
             raise CameraError(f"the camera matrix has {len(k)} numbers instead of 9")
         for index, value in zip((1, 3, 6, 7, 8), (0.0, 0.0, 0.0, 0.0, 1.0), strict=True):
             if k[index] != value and any(k):
+                if (k[2], k[5], k[8]) == (0.0, 0.0, 1.0):
+                    raise CameraError(
+                        "the camera matrix seems to be transposed, as in MATLAB; its rows must be "
+                        f"[fx, 0, cx], [0, fy, cy], [0, 0, 1], here [{k[0]:g}, 0, {k[6]:g}, 0, "
+                        f"{k[4]:g}, {k[7]:g}, 0, 0, 1]"
+                    )
                 raise CameraError(
                     f"number {index} (from 0) of the camera matrix is {k[index]:g}, but must be "
                     f"{value:g}: a matrix with skew or another scale is not supported"

@@ -241,6 +241,7 @@ def read_photograph(path: Path, size: tuple[int, int] | None = None, bits: int =
         data = path.read_bytes()
     except OSError as error:
         raise ImageRefused(f"cannot be read ({error.strerror})") from error
+    _refuse_damaged(np.frombuffer(data, dtype=np.uint8))
     return read_compressed(data, size=size, bits=bits)
 
 
@@ -290,7 +291,7 @@ def _bytes_swapped(samples: NDArray[np.uint16]) -> bool:
     """Return whether the lower byte changes less from pixel to pixel than the upper byte, which
     contains noise only if the bytes are exchanged."""
     lines = samples[::16].astype(np.int32)
-    upper, lower = (np.abs(np.diff(part, axis=1)).mean() for part in (lines >> 8, lines & 255))
+    upper, lower = (np.abs(np.diff(part, axis=1)).sum() for part in (lines >> 8, lines & 255))
     return bool(0.0 < 2.0 * lower < upper)
 
 
@@ -312,6 +313,20 @@ def _header(coded: Image) -> PIL.Image.Image | None:
         return PIL.Image.open(io.BytesIO(coded.data))
     except (OSError, ValueError, SyntaxError, struct.error, PIL.Image.DecompressionBombError):
         return None
+
+
+def _refuse_damaged(coded: Image) -> None:
+    """Raise ImageRefused if Pillow finds damage in the pixels. The libraries of OpenCV would print
+    lines of their own, and some read a damaged image in part."""
+    header = _header(coded)
+    try:
+        if header is not None:
+            header.load()
+    except (OSError, ValueError, SyntaxError, struct.error) as error:
+        raise ImageRefused(
+            f"is a damaged or incomplete {header.format if header else ''} file ({error}); copy "
+            "or save it again"
+        ) from error
 
 
 def _decode(coded: Image, flags: int) -> NDArray[Any] | None:

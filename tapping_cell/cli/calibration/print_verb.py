@@ -39,6 +39,7 @@ from tapping_cell.calibration.target import Target, TargetError
 from tapping_cell.cli import argument_types
 from tapping_cell.cli.calibration.camera_verb import counts
 from tapping_cell.configuration.table import load_reference_map
+from tapping_cell.durable_file import replace_text
 from tapping_cell.report.print_sheet import PrintedPage, write_pdf, write_png
 from tapping_cell.vision import MarkerError, ReferenceMap
 
@@ -171,7 +172,7 @@ def run(arguments: argparse.Namespace) -> int:
         write_pdf(output, drawn, "tapping cell: sheets for calibration")
     print(f"written: {output}: {', '.join(arguments.what)}; print at 100 % and measure the ruler")
     if table is not None:
-        table.write_text(text, encoding="utf-8")
+        replace_text(table, text)
         print(f"written: {table}: the reference markers of that sheet")
     elif given is not None and "table" in arguments.what:
         print(f"the table file of that sheet is {given}, if the ruler measures 100 mm")

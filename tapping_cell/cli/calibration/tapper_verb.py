@@ -23,13 +23,14 @@ from __future__ import annotations
 import argparse
 import json
 import math
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from rich.console import Console
 
+from tapping_cell.calibration.camera import CalibrationRefused
 from tapping_cell.calibration.cell_file import calibrated_cell, load_cell_with_objects
 from tapping_cell.calibration.csv_table import CsvTable, read_csv
 from tapping_cell.calibration.keep import fingerprints, now, write_kept
@@ -47,6 +48,7 @@ from tapping_cell.cli.calibration_arguments import (
     check_count,
     output_of,
 )
+from tapping_cell.configuration.cell import TapperSection
 from tapping_cell.configuration.provenance import Provenance
 
 
@@ -85,6 +87,7 @@ def run(arguments: argparse.Namespace) -> int:
     table = read_csv(arguments.record, RECORD_COLUMNS)
     tap = cell.object.tap(cell.file.tapper.striker())
     result = calibrate_tapper(record_of(table), tap)
+    _check_energy(cell.file.tapper, result)
     record = _provenance(result, table, cell.object_path)
     values = {"energies": list(result.energies), "speeds": list(result.speeds)}
     text = calibrated_cell(cell, "tapper", values, record, output.path)
@@ -99,6 +102,17 @@ def run(arguments: argparse.Namespace) -> int:
         )
     print(json.dumps(found, indent=1) if arguments.json else "\n".join(lines(found)))
     return 0
+
+
+def _check_energy(tapper: TapperSection, result: TapperCalibration) -> None:
+    """Raise CalibrationRefused if the curve contradicts the striker's kinetic energy."""
+    try:
+        replace(tapper, energies=result.energies, speeds=result.speeds).curve()
+    except ValueError as error:
+        raise CalibrationRefused(
+            f"the calibrated curve is impossible: {error}. In the record, check the unit in the "
+            "name of its column (energy in J, energy_mJ in mJ)"
+        ) from error
 
 
 def record_of(table: CsvTable) -> TapRecord:

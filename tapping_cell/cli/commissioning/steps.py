@@ -24,6 +24,7 @@ from tapping_cell.configuration.cell import load_cell
 from tapping_cell.configuration.files import shared_folder
 from tapping_cell.configuration.schema import read_yaml
 from tapping_cell.configuration.yaml_document import format_yaml
+from tapping_cell.durable_file import replace_text
 from tapping_cell.hardware.scara import Joints
 from tapping_cell.hardware.serial_transport import known_ports
 from tapping_cell.nodes.clients.arm_pose_client import ArmPoseClient, ArmRefused
@@ -101,7 +102,7 @@ def ports(session: Session) -> Proof:
             raise StepFailed(f"the {name}'s port {port} does not exist; found: {known or 'none'}")
         text = with_value(text, f"{name}.port", port)
         values[name] = port
-    session.cell_file.write_text(text, encoding="utf-8")
+    replace_text(session.cell_file, text)
     return Proof("both ports exist", values)
 
 
@@ -116,7 +117,7 @@ def connections(session: Session) -> Proof:
         copy = session.config / "cell_with_ports.yaml"
         for name in ("arm", "tapper"):
             text = with_value(text, f"{name}.port", str(session.ports / name))
-        copy.write_text(text, encoding="utf-8")
+        replace_text(copy, text)
         try:
             return _doctor(copy, session)
         finally:
@@ -399,7 +400,7 @@ def arm(session: Session) -> Proof:
         content = read_yaml(shared_folder() / "truth" / "default.yaml")
         content["arm"]["holds"] = list(HELD)
         truth = session.folder / "held.yaml"
-        truth.write_text(format_yaml(content), encoding="utf-8")
+        replace_text(truth, format_yaml(content))
     session.instruct(
         "attach the object's marker to the striker; the arm will move over the whole table"
     )

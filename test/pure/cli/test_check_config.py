@@ -106,7 +106,7 @@ def test_the_home_folder_in_the_path_of_a_further_object_is_expanded(folder, mon
         ("cell.yaml", "arm.base", [0.0, 4.0, -1.57], "the arm can tap the object nowhere"),
         ("cell.yaml", "table.width", 0.08, "fits nowhere"),
         ("cell.yaml", "tapper.speeds", [0.9, 1.0, 1.1, 1.2, 1.3], "more than the charged"),
-        ("camera_info.yaml", "image_width", 2560, "fits an image of about 1279 x 1023"),
+        ("camera_info.yaml", "image_width", 2560, "fits an image of about 1280 x 1024"),
         ("cell.yaml", "tapper.energies", [1e-5, 1e-4], "shorter"),
     ],
 )

@@ -5,13 +5,27 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from tapping_cell.cli import main
 from tapping_cell.cli.check_config import check
 from tapping_cell.configuration.files import shared_folder
 
 DISK, SQUARE = "objects/aluminium_disk.yaml", "objects/aluminium_square.yaml"
 CELL, TABLE, CAMERA = "cell.yaml", "table.yaml", "camera_info.yaml"
+FIXED = "positioning_cell/cell.yaml"
+SIX, ARM = (f"../examples/six_axis_cell/{name}" for name in ("cell.yaml", "six_axis_arm.urdf"))
+EXAMPLES = Path(__file__).parents[3] / "examples"
+CORNERS = "[[-0.04, -0.04], [0.04, -0.04], [0.04, 0.04], [-0.04, 0.04]]"
+CROSSED = "[[-0.04, -0.04], [0.04, -0.04], [-0.04, 0.04], [0.04, 0.04]]"
+BOW_TIE = "[[0.1, 0.1], [0.2, 0.2], [0.2, 0.1], [0.1, 0.2]]"
+LIMITS = "lower: [-2.3, -2.6, -0.148, -3.5]\n  upper: [2.3, 2.6, 0.0, 3.5]"
+ENERGIES = "[0.00002, 0.0005, 0.005, 0.05, 0.3125]"
+SWAPPED = "lower: [2.3, 2.6, 0.0, 3.5]\n  upper: [-2.3, -2.6, -0.148, -3.5]"
+SIZE = "image_width: 1280\nimage_height: 1024"
+MATRIX = "[1150.0, 0.0, 639.5, 0.0, 1150.0, 511.5, 0.0, 0.0, 1.0]"
+XACRO = "http://www.ros.org/wiki/xacro"
 
 MISTAKES = [
     (DISK, "radius: 0.048", "radius: 48", "if the value is in mm, write 0.048"),
@@ -27,9 +41,9 @@ MISTAKES = [
     (DISK, "mass: 0.2455", "mas: 0.2455", "unknown key 'mas'; did you mean 'mass'?"),
     (DISK, "height: 0.012", "height: 0.12", "mass or height may be wrong by a factor of 10"),
     (DISK, "height: 0.012", "height: \u22120.012", "replace the minus sign (U+2212)"),
-    (DISK, "friction: 0.17", "friction: 17", "must be 0.01 to 2"),
+    (DISK, "friction: 0.17", "friction: 17", "if the value is in percent, write 0.17"),
     (DISK, "restitution: 0.86", "restitution: 1.2", "must be 0 to 1"),
-    (DISK, "restitution: 0.86", "restitution: 86 %", "write the number without '%'"),
+    (DISK, "restitution: 0.86", "restitution: 86 %", "write 0.86"),
     (DISK, "kind: disk", "kind: Disc", "did you mean 'disk'?"),
     (DISK, "id: 1\n", "id: 01\n", "'01' starts with 0"),
     (DISK, "id: 1\n", "id: 1.0\n", "write 1"),
@@ -46,7 +60,7 @@ MISTAKES = [
     (CELL, "baud: 115200", "baud: 115.200", "whole number"),
     (CELL, "baud: 115200", "baud: 115,200", "115.200 or 115200, without a comma"),
     (CELL, "quill_brake: true", "quill_brake: yes", "write true"),
-    (CELL, "base: [0.0, 0.47, -1.5707963]", "base: [0.0, 0.47, -90]", "angle in rad"),
+    (CELL, "base: [0.0, 0.47, -1.5707963]", "base: [0.0, 0.47, -90]", "is in deg, write -1.57"),
     (CELL, "base: [0.0, 0.47,", "base: [0,0, 0.47,", "write '0, 0' or '0.0'"),
     (CELL, "  homing: firmware", "  homming: firmware", "did you mean 'homing'?"),
     (CELL, "  max_taps: 40", "max_taps: 40", "did you mean 'goal.max_taps'? Check the indentation"),
@@ -57,17 +71,62 @@ MISTAKES = [
     (CELL, "length: 0.60", "length: 600", "if the value is in mm, write 0.6"),
     (CELL, "angle_tolerance: 0.01745329252", "angle_tolerance: pi/180", "not evaluated"),
     (CELL, "angle_tolerance: 0.01745329252", "angle_tolerance: 1\u00b0", "in rad"),
-    (CELL, "angle_tolerance: 0.01745329252", "angle_tolerance: 2", "is in deg, write 0.0349066"),
+    (CELL, "angle_tolerance: 0.01745329252", "angle_tolerance: 1.0", "is in deg, write 0.0174"),
     (TABLE, "size: 0.040, x: -0.33", "size: 40, x: -0.33", "if the value is in mm, write 0.04"),
     (TABLE, "size: 0.040, x: 0.00", "size: 0.400, x: 0.00", "most have 40.0 mm"),
     (TABLE, "x: 0.33, y: 0.25", "x: 0,33, y: 0.25", "unknown key"),
     (TABLE, "theta: 0.0}", "theta: 90}", "if the value is in deg, write 1.5708"),
     (TABLE, "id: 102", "id: 101", "101"),
-    (CAMERA, "image_width: 1280", "image_width: 1920", "fits an image of about 1279 x 1023"),
+    (CAMERA, "image_width: 1280", "image_width: 1920", "fits an image of about 1280 x 1024"),
     (CAMERA, "1150.0, 0.0, 639.5", "4.0, 0.0, 639.5", "4.0 and 1150.0 pixels differ"),
     (CAMERA, "[1150.0, 0.0, 639.5, 0.0, 1150.0", "[4.0, 0.0, 639.5, 0.0, 4.0", "must be in pixels"),
     (CAMERA, "-0.12, 0.08", "-1.2, 0.08", "folds back inside the image"),
     (CAMERA, "639.5", "639,5", "'639,5' may be two numbers or 639.5"),
+    (DISK, "\nfriction: 0.17 ", "\nfriction: 17% ", "; write 0.17"),
+    (DISK, "rotation: 0.15", "rotation: 15", "if the value is in percent, write 0.15"),
+    (DISK, "radius: 0.048", "radius: 0.024", "the name says 'aluminium'"),
+    (DISK, "torque_factor", "mass: 1\ntorque_factor", "first in line 7; delete one of them"),
+    (SQUARE, CORNERS, CROSSED, "at vertex 2 [-0.04, 0.04]"),
+    (SQUARE, CORNERS, "[[0, 0], [0.08, 0], [0.08, 0.08], [0, 0.08]]", "subtract [0.04, 0.04]"),
+    (CELL, "upper_arm: 0.425", "upper_arm: 425", "if the value is in mm, write 0.425"),
+    (CELL, LIMITS, SWAPPED, "exchange 'low"),
+    (CELL, "  baud: 115200", "  baud: 112500", "did you mean 115200?"),
+    (CELL, "strike_height: 0.006", "strike_height: 6 mm", "write the number without 'mm', in m"),
+    (CELL, ENERGIES, "[0.02, 0.5, 5.0, 50.0, 312.5]", "are in mJ, divide them by 1000"),
+    (
+        CELL,
+        "  tip_height",
+        "<<<<<<< HEAD\n  tip_height",
+        "line 23 is the marker <<<<<<< of a merge",
+    ),
+    (CELL, "\ncamera:\n", f"\nkeep_outs:\n  polygons: [{BOW_TIE}]\n\ncamera:\n", "order along the"),
+    (
+        FIXED,
+        "direction: -2.3561945",
+        "direction: 2.3561945",
+        "line of travel of 'northeast' does not",
+    ),
+    (CAMERA, "image_width: 1280", "image_width: 640", "about 1280 x 1024 pixels, not 640 x 1024"),
+    (CAMERA, SIZE, "image_width: 1024\nimage_height: 1280", "height seem to be exchanged"),
+    (
+        CAMERA,
+        MATRIX,
+        "[1150.0, 0.0, 0.0, 0.0, 1150.0, 0.0, 639.5, 511.5, 1.0]",
+        "transposed, as in M",
+    ),
+    (CAMERA, MATRIX, "[575.0, 0.0, 319.5, 0.0, 575.0, 255.5, 0.0, 0.0, 1.0]", "about 640 x 512"),
+    (CAMERA, "rows: 1", "rows: 2", "2 rows and 5 cols, but 5 numbers"),
+    (CAMERA, "-0.0003, 0.0]", "-0.0003, .nan]", "must be a finite number; calibrate"),
+    (ARM, 'name="six_axis_arm"', f'xmlns:xacro="{XACRO}" name="${{n}}"', "expand the xacro file"),
+    (
+        ARM,
+        '<parent link="link_4"/>',
+        '<parent link="link_3"/>',
+        "the parent of joint_5, which is l",
+    ),
+    (ARM, 'lower="-2.97"', 'lower="-170"', "if it is in degrees, write -2.96706"),
+    (ARM, '"joint_4"', '"joint_four"', "it has no joint joint_4"),
+    (SIX, "tip_link: flange", "tip_link: tool0", "its links are base_link, flange"),
 ]
 
 
@@ -77,10 +136,92 @@ def test_a_common_mistake_is_refused_with_cause_and_remedy(
 ) -> None:
     folder = tmp_path / "config"
     shutil.copytree(shared_folder(), folder)
-    path = folder / file
+    shutil.copytree(EXAMPLES, tmp_path / "examples")
+    path = (folder / file).resolve()
     text = path.read_text(encoding="utf-8")
     assert old in text
     path.write_text(text.replace(old, new, 1), encoding="utf-8")
-    errors = [sentence for found in check(path) for sentence in found.errors]
+    checked = path.with_name("cell.yaml") if file == ARM else path
+    errors = [sentence for found in check(checked) for sentence in found.errors]
     assert any(words in sentence for sentence in errors), errors
     assert all(str(path) in sentence for sentence in errors), errors
+
+
+def poses() -> list[list[float]]:
+    """Return rows of a record for `calibrate arm`: joints in rad, then x and y in m."""
+    generator = np.random.default_rng(3)
+    rows: list[list[float]] = []
+    while len(rows) < 24:
+        shoulder, elbow, tool = generator.uniform([-1.3, 0.5, -2.0], [1.3, 2.2, 2.0])
+        elbow *= generator.choice([-1.0, 1.0])
+        at = 0.47j - 1j * np.exp(1j * shoulder) * (
+            0.425 + np.exp(1j * elbow) * (0.375 + 0.06 * np.exp(1j * tool))
+        )
+        if abs(at.real) < 0.3 and abs(at.imag) < 0.22:
+            rows.append([shoulder, elbow, tool, at.real, at.imag])
+    return rows
+
+
+def taps() -> list[list[float]]:
+    """Return rows of a record for `calibrate tapper`: energy in J, distance in m."""
+    launch = 1.86 * 0.1 / 0.3455
+    rows = [0.003, 0.006, 0.012, 0.025, 0.05, 0.08] * 3
+    return [[energy, launch**2 * 20.0 * energy / (2.0 * 0.17 * 9.81)] for energy in rows]
+
+
+def table(names: str, rows: list[list[float]], mark: str = ".") -> str:
+    lines = [",".join(f"{value:.6f}".replace(".", mark) for value in row) for row in rows]
+    return "\n".join([names, *lines, ""])
+
+
+JOINTS = "shoulder,elbow,tool"
+RECORDS = [
+    ("arm", table(f"{JOINTS},x,y", poses()), ""),
+    ("arm", table(f"{JOINTS},y,x", poses()), "after the columns x and y are exchanged"),
+    ("arm", table("elbow,shoulder,tool,x,y", poses()), "columns shoulder and elbow are exchanged"),
+    ("arm", table(f"{JOINTS},x,y", poses(), ","), "row 2 has 10 cells: the comma seems to be"),
+    ("arm", table(f"{JOINTS},x,y", np.degrees(poses()).tolist()), "if the values are in deg"),
+    ("arm", table("energy,distance", taps()), "it is a record for `calibrate tapper`"),
+    ("arm", "<<<<<<< HEAD\n" + table(f"{JOINTS},x,y", poses()), "line 1 is the marker <<<<<<<"),
+    ("tapper", table("energy,distance", taps()), ""),
+    ("tapper", table("energy_mJ,distance", taps()), "check the unit in the name of its column"),
+    (
+        "tapper",
+        table("energy,distance", [[1e3 * e, d] for e, d in taps()]),
+        "check the unit in the name of its column",
+    ),
+    ("tapper", table(f"{JOINTS},x,y", poses()), "it is a record for `calibrate arm`"),
+]
+
+
+@pytest.mark.parametrize(("verb", "text", "words"), RECORDS, ids=range(len(RECORDS)))
+def test_a_mistake_in_a_record_is_refused_and_named(
+    verb: str, text: str, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    record, output = tmp_path / "record.csv", tmp_path / "new_cell.yaml"
+    record.write_text(text, encoding="utf-8")
+    status = main(["calibrate", verb, str(record), "--output", str(output)])
+    assert output.exists() == (status == 0) == (not words)
+    assert words in capsys.readouterr().err
+
+
+ARGUMENTS = [
+    (["goal", "50,5", "-20", "90"], "write a decimal point: 50.5"),
+    (["demo", "--goal", "10", "20mm", "0"], "write the number without 'mm'"),
+    (["arrange", "LAYOUT"], "'goals[0]' and 'goals[1]' are both for the object 'a'"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "words"), ARGUMENTS)
+def test_a_mistake_in_an_argument_is_refused_at_once(
+    arguments: list[str], words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    layout = tmp_path / "layout.yaml"
+    layout.write_text("goals: [{object: a, pose: [0, 0, 0]}, {object: a, pose: [0.1, 0, 0]}]\n")
+    arguments = [str(layout) if word == "LAYOUT" else word for word in arguments]
+    try:
+        status = main(arguments)
+    except SystemExit as error:
+        status = int(error.code or 0)
+    assert status == 2
+    assert words in " ".join(capsys.readouterr().err.split())

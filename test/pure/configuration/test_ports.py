@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 import yaml
 
+from tapping_cell.cli import main
 from tapping_cell.configuration.cell import load_cell
 from tapping_cell.configuration.conflicts import conflicts
 from tapping_cell.configuration.files import shared_folder
@@ -35,6 +36,15 @@ def test_one_device_for_arm_and_tapper_is_an_error_by_any_name(tmp_path: Path) -
     for names in ((device, device), (device, link), (second, link), (f"{tmp_path}/./by-id", link)):
         errors, _ = findings(tmp_path, *map(str, names))
         assert "give each its own" in errors and str(names[0]) in errors
+
+
+def test_up_refuses_one_port_for_arm_and_tapper_before_it_starts_nodes(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "ttyUSB0").touch()
+    findings(tmp_path, *2 * (str(tmp_path / "ttyUSB0"),))
+    assert main(["up", "--hardware", "--cell", str(tmp_path / "config" / "cell.yaml")]) == 2
+    assert "arm and tapper have the same port" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("name", ["COM3", "com12", "COM1:", "\\\\.\\COM10"])

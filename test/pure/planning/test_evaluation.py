@@ -223,6 +223,7 @@ def test_a_cell_that_check_config_refuses_is_evaluated_only_with_force(tmp_path,
     assert "none.yaml" in (said := capsys.readouterr().err) and "--force" in said
     cell = load_cell(file)
     refuse_faulty(argparse.Namespace(cell=file, force=True), cell)
+    assert "warning: check-config refuses this cell" in capsys.readouterr().err
     with pytest.raises(ConfigurationError, match="none.yaml"):
         refuse_faulty(argparse.Namespace(cell=file, force=False), cell)
 
