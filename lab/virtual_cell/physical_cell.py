@@ -18,7 +18,7 @@ from tapping_cell.simulation.arm_picture import arm_solids
 from tapping_cell.simulation.devices import arm_emulator
 from tapping_cell.simulation.fault_layer import FaultLayer
 from tapping_cell.simulation.spring_drive import SpringMechanism
-from tapping_cell.simulation.striker_speed import striker_speed
+from tapping_cell.simulation.striker_motion import striker_speed
 from tapping_cell.simulation.tapper_emulator import TapperEmulator, TapperMachine
 from tapping_cell.simulation.truth import TruthFile
 from tapping_cell.simulation.world import World

@@ -16,6 +16,7 @@ import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from tapping_cell import __version__
 from tapping_cell.nodes import security
 
 Execute = Callable[[argparse.Namespace], int]
@@ -123,7 +124,8 @@ def _parser_of(argv: list[str]) -> tuple[argparse.ArgumentParser, Execute]:
         + "\n\nVERB --help shows the options of a verb, and an example.",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    if verb in ("-h", "--help"):
+    parser.add_argument("--version", action="version", version=f"tapping_cell {__version__}")
+    if verb in ("-h", "--help", "--version"):
         parser.parse_args([verb])
     if verb in MOVED:
         parser.error(MOVED[verb])

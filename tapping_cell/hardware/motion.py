@@ -11,7 +11,7 @@ straight line between two points at travel height or higher.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -72,19 +72,29 @@ class Waypoint:
 
 
 def strike_path(
-    geometry: ScaraGeometry, current: Sequence[float], tip: TipPose, settings: MotionSettings
+    geometry: ScaraGeometry,
+    current: Sequence[float],
+    tip: TipPose,
+    settings: MotionSettings,
+    hides: Callable[[Joints], bool] = lambda joints: False,
 ) -> tuple[Waypoint, ...]:
     """Return the waypoints from joints ``current`` to the tip pose in ``arm_base``.
 
-    The path is raise, travel, lower; moves of zero length are left out. Raises HardwareFault
-    (UNREACHABLE) with the reason from the kinematics.
+    The path is raise, travel, lower; moves of zero length are left out. The elbow changes its side
+    if the tip pose requires it, or if the arm ``hides`` the object on its present side only. Raises
+    HardwareFault (UNREACHABLE) with the reason from the kinematics.
     """
     near = settings.near_speed
     solution = geometry.inverse(tip, near=current)
-    if solution.joints is None:
-        raise HardwareFault(FaultReason.UNREACHABLE, solution.reason)
-    clear = _clear_quill(geometry, settings)
     goal = solution.joints
+    if goal is None:
+        raise HardwareFault(FaultReason.UNREACHABLE, solution.reason)
+    if hides(goal):
+        other = next(side for side in Branch if side is not solution.branch)
+        flipped = geometry.inverse(tip, other, near=current)
+        if flipped.joints is not None and not hides(flipped.joints):
+            goal = flipped.joints
+    clear = _clear_quill(geometry, settings)
     above = goal._replace(quill=max(goal.quill, clear))
     fast = settings.travel_speed
     slow_from = goal._replace(quill=goal.quill + settings.near_height)

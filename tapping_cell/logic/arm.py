@@ -41,7 +41,7 @@ from tapping_cell.logic.host import Configured
 from tapping_cell.logic.poses import from_message, to_message
 from tapping_cell.logic.tap_commands import CodedError
 from tapping_cell.logic.transitions import StateMachine, table
-from tapping_cell.logic.withdrawal import Scene, uncovering, withdrawal
+from tapping_cell.logic.withdrawal import Scene, hides_object, uncovering, withdrawal
 from tapping_cell.messages import (
     ArmState,
     ErrorCode,
@@ -301,6 +301,7 @@ class ArmLogic(DeviceLogic[State, Event]):
                 motion=self._motion(),
                 expiry=self._expiry,
                 not_before=self._free_at(now),
+                hides=partial(hides_object, self._cell, self._scene),
             ),
         )
 

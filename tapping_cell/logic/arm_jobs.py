@@ -107,9 +107,15 @@ def home(
 
 
 def place(
-    context: JobContext, tip: TipPose, motion: MotionSettings, expiry: int, not_before: float
+    context: JobContext,
+    tip: TipPose,
+    motion: MotionSettings,
+    expiry: int,
+    not_before: float,
+    hides: Callable[[Joints], bool] = lambda joints: False,
 ) -> MotionEnd:
-    """Move the tip to a pose in ``arm_base`` and settle there. ``expiry``: ROS time in ns.
+    """Move the tip to a pose in ``arm_base`` and settle there. ``expiry``: ROS time in ns;
+    ``hides``: see :func:`strike_path`.
 
     ``not_before``: earliest start, in s of the steady clock. Reports that the striker is charged
     for this tap do not delay the motion, because the tapper charges only above the strike pose, and
@@ -117,7 +123,7 @@ def place(
     """
     driver: ArmDriver = context.driver
     _wait(context, not_before)
-    path = strike_path(driver.geometry, driver.read_joints(), tip, motion)
+    path = strike_path(driver.geometry, driver.read_joints(), tip, motion, hides)
     if not _move_along(context, path, expiry):
         return MotionEnd(False, _make_reading(driver, driver.read()))
     reading = driver.settle(path[-1].joints if path else None)

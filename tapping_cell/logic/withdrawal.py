@@ -86,6 +86,17 @@ def withdrawal(
     return _path_to_chosen(cell, current, motion, choose)
 
 
+def hides_object(cell: Cell, scene: Scene | None, joints: Joints) -> bool:
+    """Return whether the arm at its joints hides a part of the object before the tap. False if the
+    scene is not known or the arm is not a SCARA."""
+    if scene is None or cell.arm.chain() is not None:
+        return False
+    place = [[scene.before.x, scene.before.y, cell.object.height]]
+    bars = bars_in_table(cell, cell.arm.geometry(), np.array([joints]))
+    clearance = view_clearance(scene.camera, bars.start, bars.end, bars.radius, place)
+    return bool(clearance[0, 0] < cell.object.body().bounding_radius)
+
+
 def uncovering(
     cell: Cell,
     camera: tuple[float, float, float] | None,

@@ -36,34 +36,22 @@ def arm_solids(
     wrist = elbow + geometry.forearm * unit_vectors(elbow_angle)
     low = arm.tip_height + arm.link_clearance
     shoulder, elbow, wrist = transform_points(base, np.array([[0.0, 0.0], elbow, wrist]))
-    held = np.array(striker)
     return (
-        *_tool(tapper, held, held, tip.z),
+        *_tool(tapper, np.array(striker), tip.z),
         _solid(_circle(wrist, QUILL_RADIUS), max(tip.z, 0.0), low, _TOOL_LEVEL),
         _link(elbow, wrist, low, arm),
         _link(shoulder, elbow, low, arm),
     )
 
 
-def striker_solids(
-    tapper: TapperSection, mount: Pose, height: float, out: float
-) -> tuple[Occluder, ...]:
-    """Return the silhouettes of a tapper at a fixed mount. Its tip is ``height`` m above the table
-    and extended by ``out`` m."""
-    rest = np.array(mount)
-    ahead = rest + out * np.array([math.cos(mount.theta), math.sin(mount.theta), 0.0])
-    return _tool(tapper, rest, ahead, height)
-
-
-def _tool(tapper: TapperSection, rest: Array, tip: Array, height: float) -> tuple[Occluder, ...]:
-    """Return the silhouettes of striker and housing. The housing is at ``rest``; the striker
-    extends from it to ``tip``."""
-    out = math.hypot(tip[0] - rest[0], tip[1] - rest[1])
-    along = (-tapper.tool_start - out, 0.0)
+def _tool(tapper: TapperSection, tip: Array, height: float) -> tuple[Occluder, ...]:
+    """Return the silhouettes of striker and housing; the centre of the striker's ball is at
+    ``tip``."""
+    striker = (-tapper.tool_start, tapper.tip_radius)
     housing = (-tapper.tool_length, -tapper.tool_start)
     return (
-        _box(tip, along, tapper.tip_radius, height, _STRIKER_LEVEL),
-        _box(rest, housing, tapper.tool_radius, height, _TOOL_LEVEL),
+        _box(tip, striker, tapper.tip_radius, height, _STRIKER_LEVEL),
+        _box(tip, housing, tapper.tool_radius, height, _TOOL_LEVEL),
     )
 
 

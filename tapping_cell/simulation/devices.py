@@ -9,21 +9,22 @@ from pathlib import Path
 
 import numpy as np
 
-from tapping_cell.configuration.cell import ArmSection, Cell
+from tapping_cell.configuration.cell import ArmSection, Cell, TapperSection
 from tapping_cell.se2 import Pose
+from tapping_cell.simulation.arm_drawing import ArmDrawing
 from tapping_cell.simulation.arm_emulator import ArmEmulator, AxisLimits
-from tapping_cell.simulation.arm_picture import arm_solids
 from tapping_cell.simulation.joint_motion import AxisErrors
 from tapping_cell.simulation.motor_axes import TO_UNITS
 from tapping_cell.simulation.pseudo_terminal import PseudoTerminal
-from tapping_cell.simulation.rendered_camera import Occluder
-from tapping_cell.simulation.striker_speed import striker_speed
+from tapping_cell.simulation.rendered_camera import Drawing
+from tapping_cell.simulation.striker_motion import Flight, striker_speed
 from tapping_cell.simulation.tapper_emulator import TapperEmulator
 from tapping_cell.simulation.truth import ArmTruth
 
-OnStrike = Callable[[Pose, float, float, float], float]
-"""Callback when the striker is released. Arguments: true tip pose in ``table``, its height in m,
-commanded speed in m/s, time in s. Returns the speed that the tapper's speed gate measures, m/s."""
+OnStrike = Callable[[Pose, float, float, TapperSection, float], tuple[float, float]]
+"""Callback when a striker is released. Arguments: true tip pose in ``table``, its height in m,
+commanded speed in m/s, the tapper, time in s. Returns the speed measured by the speed gate, m/s,
+and the tip's travel, m."""
 
 SINKING_SPEED = 0.02
 """Sinking speed of a quill without a brake while its motor has no power, m/s."""
@@ -46,11 +47,14 @@ class SimulatedDevices:
         on_strike: OnStrike,
         seed: int,
     ) -> None:
-        self._arm_section, self._tapper_section = cell.arm, cell.file.tapper
+        self._tapper_section = cell.file.tapper
         self._geometry = cell.arm.geometry()
         self._base = cell.arm_base @ Pose(*truth.base_offset)
         self._curve = cell.file.tapper.curve()
         self._on_strike = on_strike
+        self._drawing = ArmDrawing(cell.arm, cell.file.tapper, self._base)
+        self._drawn: tuple[tuple[float, ...], tuple[Drawing, ...]] = ((), ())
+        self._flight = Flight(0.0, 1.0, 0.0)
         now = time.monotonic()
         self._arm = arm_emulator(cell.arm, truth, seed, now)
         # A restart of the simulation is a power-on of the board, so the boot number must be new.
@@ -78,13 +82,21 @@ class SimulatedDevices:
     def _fire(self, shot: int, energy: float, now: float) -> float | None:
         """Handle a release: the striker starts at the true pose of the tip."""
         tip, height = self.tip(now)
-        return self._on_strike(tip, height, striker_speed(self._curve, energy), now)
+        speed = striker_speed(self._curve, energy)
+        measured, travel = self._on_strike(tip, height, speed, self._tapper_section, now)
+        self._flight = Flight(now, speed, travel)
+        return measured
 
-    def solids(self, now: float) -> tuple[Occluder, ...]:
-        """Return the silhouettes of the arm at its true position for the camera."""
+    def drawings(self, now: float, exposed: float) -> tuple[Drawing, ...]:
+        """Return the arm at its true position at ``now`` for the camera, with the striker as it is
+        at ``exposed``, the world time of the image. The result is the same object while nothing
+        moves."""
         with self._arm_port.lock:
             joints = self._arm.joints(now)
-        return arm_solids(self._arm_section, self._tapper_section, self._base, joints)
+        key = (*joints, self._flight.extension(exposed))
+        if key != self._drawn[0]:
+            self._drawn = key, (self._drawing.at(joints, key[-1]),)
+        return self._drawn[1]
 
     def tip(self, now: float) -> tuple[Pose, float]:
         """Return the true pose of the striker's tip in ``table`` and its height in m."""

@@ -5,49 +5,20 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
-from tapping_cell.configuration.cell import Board, Cell, FixedTapperSection, TapperSection
+from tapping_cell.configuration.cell import Board, Cell, FixedTapperSection
 from tapping_cell.se2 import Pose
-from tapping_cell.simulation.arm_picture import striker_solids
-from tapping_cell.simulation.devices import LARGEST_BOOT
+from tapping_cell.simulation.arm_drawing import StrikerDrawing
+from tapping_cell.simulation.devices import LARGEST_BOOT, OnStrike
 from tapping_cell.simulation.pseudo_terminal import PseudoTerminal
-from tapping_cell.simulation.rendered_camera import Occluder
-from tapping_cell.simulation.striker_speed import striker_speed
+from tapping_cell.simulation.rendered_camera import Drawing
+from tapping_cell.simulation.striker_motion import Flight, striker_speed
 from tapping_cell.simulation.tapper_emulator import TapperEmulator, TapperMachine
 from tapping_cell.simulation.truth import MountsTruth
-
-RETURN_SPEED = 1.0
-"""Speed at which the spring returns a striker, m/s."""
-
-OnFixedStrike = Callable[[Pose, float, float, TapperSection, float], tuple[float, float]]
-"""Callback when a striker is released. Arguments: true tip pose in ``table``, its height in m,
-commanded speed in m/s, the tapper, time in s. Returns the speed measured by the speed gate, m/s,
-and the tip's travel, m."""
-
-
-@dataclass(frozen=True, slots=True)
-class Flight:
-    """A released striker: time of the release in s, speed in m/s, and travel in m."""
-
-    begun: float
-    speed: float
-    travel: float
-
-    def extension(self, now: float) -> float:
-        """Return the extension of the tip at ``now``, m."""
-        out = self.speed * (now - self.begun)
-        back = self.travel - RETURN_SPEED * (now - self.begun - self.travel / self.speed)
-        return max(0.0, min(out, back))
-
-    @property
-    def duration(self) -> float:
-        """Time from the release to the return, s."""
-        return self.travel / self.speed + self.travel / RETURN_SPEED
 
 
 def true_mounts(cell: Cell, truth: MountsTruth, seed: int) -> dict[str, Pose]:
@@ -74,7 +45,7 @@ class FixedTapperBoard:
         cell: Cell,
         board: Board,
         mounts: Mapping[str, Pose],
-        on_strike: OnFixedStrike,
+        on_strike: OnStrike,
         boot: int,
         now: float,
     ) -> None:
@@ -88,6 +59,9 @@ class FixedTapperBoard:
         self._mounts = mounts
         self._on_strike = on_strike
         self._flights: dict[str, Flight] = {}
+        self._drawings = {
+            channel: StrikerDrawing(tapper) for channel, tapper in self._tappers.items()
+        }
         self.emulator = TapperEmulator(
             TapperMachine(coils=1 + max(self._entries)), self._fire, boot=boot, now=now
         )
@@ -105,16 +79,17 @@ class FixedTapperBoard:
         self.emulator.coils.flight = flight.duration
         return measured
 
-    def solids(self, now: float) -> tuple[Occluder, ...]:
-        """Return the silhouettes of the strikers for the camera."""
-        made: list[Occluder] = []
-        for channel, entry in self._entries.items():
-            flight = self._flights.get(entry.name)
-            out = flight.extension(now) if flight is not None else 0.0
-            made += striker_solids(
-                self._tappers[channel], self._mounts[entry.name], self._height, out
-            )
-        return tuple(made)
+    def extensions(self, now: float) -> tuple[float, ...]:
+        """Return how far each tip is extended at ``now``, m."""
+        flights = (self._flights.get(entry.name) for entry in self._entries.values())
+        return tuple(flight.extension(now) if flight is not None else 0.0 for flight in flights)
+
+    def drawings(self, extensions: Sequence[float]) -> tuple[Drawing, ...]:
+        """Return the strikers for the camera, extended as given."""
+        return tuple(
+            self._drawings[channel].at(self._mounts[entry.name], self._height, out)
+            for (channel, entry), out in zip(self._entries.items(), extensions, strict=True)
+        )
 
 
 class FixedDevices:
@@ -132,7 +107,7 @@ class FixedDevices:
         cell: Cell,
         truth: MountsTruth,
         ports: Callable[[int, str], Path],
-        on_strike: OnFixedStrike,
+        on_strike: OnStrike,
         seed: int,
     ) -> None:
         now = time.monotonic()
@@ -140,6 +115,7 @@ class FixedDevices:
         mounts = true_mounts(cell, truth, seed)
         self._boards: list[FixedTapperBoard] = []
         self._ports: list[PseudoTerminal] = []
+        self._drawn: tuple[tuple[tuple[float, ...], ...], tuple[Drawing, ...]] = ((), ())
         try:
             for index, board in enumerate(cell.boards):
                 made = FixedTapperBoard(cell, board, mounts, on_strike, boot, now)
@@ -162,6 +138,12 @@ class FixedDevices:
             with port.lock:
                 board.emulator.press_clear_button(time.monotonic())
 
-    def solids(self, now: float) -> tuple[Occluder, ...]:
-        """Return the silhouettes of the strikers for the camera."""
-        return tuple(solid for board in self._boards for solid in board.solids(now))
+    def drawings(self, now: float, exposed: float) -> tuple[Drawing, ...]:
+        """Return the strikers as they are at ``exposed``, the world time of the image, for the
+        camera. The result is the same object while nothing moves."""
+        del now  # only an arm moves in the machine's time
+        key = tuple(board.extensions(exposed) for board in self._boards)
+        if key != self._drawn[0]:
+            boards = zip(self._boards, key, strict=True)
+            self._drawn = key, tuple(one for board, out in boards for one in board.drawings(out))
+        return self._drawn[1]

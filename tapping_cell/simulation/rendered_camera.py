@@ -9,7 +9,7 @@ In each frame, only the regions around moving objects are redrawn.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
@@ -40,6 +40,12 @@ DARK_DOT_REFLECTANCE = 0.08
 BRIGHT_DOT_REFLECTANCE = 0.95
 WHITE_LEVEL = 230.0
 """Grey level of a surface with reflectance 1 in the brightest light."""
+LAMP = (0.09, -0.07)
+"""Displacement of a drawing's shadow (x, y in ``table``) per height above the table."""
+_COARSE = 8
+"""Pixels per cell of the grid in which shadows are drawn."""
+_STRIP = 8
+"""Height of a strip of that grid."""
 _FRACTION = 16
 """Fixed-point units per grey level in the noise-free image, so that values are rounded only after
 the noise was added."""
@@ -76,6 +82,30 @@ class Occluder:
     points: NDArray[np.float64]
     level: float = 45.0
     convex: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """One polygon of a drawing: its grey level, whether it is the convex hull of its points, the
+    fraction of the light that its shadow on the table removes, and its number of points."""
+
+    level: float
+    convex: bool = False
+    shade: float = 0.0
+    count: int = 0
+
+    def with_count(self, count: int) -> Part:
+        """Return the part with its number of points."""
+        return replace(self, count=count)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Drawing:
+    """Polygons above the table, drawn in their order: the points of all parts (N, 3) in ``table``,
+    m, and the parts."""
+
+    points: NDArray[np.float64]
+    parts: tuple[Part, ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -164,6 +194,9 @@ class SceneRenderer:
         self._clean = self._background16.copy()
         self._noisy = np.empty_like(self._background16)
         self._moving_windows: list[tuple[slice, slice]] = []
+        # The image with the drawings, which is kept while nothing in it moves.
+        self._drawings: Sequence[Drawing] = ()
+        self._drawn = np.empty_like(self._background16)
 
     def render(
         self,
@@ -171,26 +204,29 @@ class SceneRenderer:
         end_pose: ArrayLike | None = None,
         occluders: Sequence[Occluder] = (),
         light: float = 1.0,
+        drawings: Sequence[Drawing] = (),
     ) -> Image:
         """Render one frame, uint8 (height, width).
 
         ``object_pose``: (x, y, theta) in ``table`` at the start of the exposure, or one row per
         object. ``end_pose``: the same at the end of the exposure (None: at rest). ``light`` scales
-        the light of the whole scene (0 is dark).
+        the light of the whole scene (0 is dark). ``drawings`` are drawn over the objects, with
+        their shadows; the same sequence again means that nothing in them moved.
         """
         start = np.atleast_2d(np.asarray(object_pose, dtype=float))
         end = start if end_pose is None else np.atleast_2d(np.asarray(end_pose, dtype=float))
-        self._draw_objects(start, end)
+        changed = self._draw_objects(start, end)
         clean = self._clean
+        if drawings:
+            if changed or drawings != self._drawings:
+                self._draw_drawings(drawings)
+            clean = self._drawn
+        self._drawings = drawings
         if occluders:
             clean = clean.copy()
             for occluder in occluders:
-                seen = self.view.project(occluder.points)
-                if occluder.convex:
-                    seen = np.asarray(cv2.convexHull(seen.astype(np.float32))[:, 0], dtype=float)
-                corners = np.round(seen * 16.0).astype(np.int32)
-                level = occluder.level * _FRACTION
-                cv2.fillPoly(clean, [corners], (level,), shift=4)
+                corners = _corners(self.view.project(occluder.points))
+                _fill(clean, corners, occluder.level * _FRACTION, occluder.convex)
         if light != 1.0:
             clean = np.asarray(clean * light, dtype=np.int16)
         # The sum is written to an existing array, because the allocation of a new one would take as
@@ -248,11 +284,70 @@ class SceneRenderer:
             return None
         return slice(low[1], high[1]), slice(low[0], high[0])
 
-    def _draw_objects(self, start: NDArray[np.float64], end: NDArray[np.float64]) -> None:
-        """Redraw all objects at rest if one of them has moved, then draw the moving objects."""
+    def _draw_drawings(self, drawings: Sequence[Drawing]) -> None:
+        """Draw the objects with the drawings and their shadows over them."""
+        np.copyto(self._drawn, self._clean)
+        points = np.concatenate([drawing.points for drawing in drawings])
+        parts = [part for drawing in drawings for part in drawing.parts]
+        ends = np.cumsum([part.count for part in parts])
+        begins = ends - [part.count for part in parts]
+        ranges = [slice(*both) for both in zip(begins.tolist(), ends.tolist(), strict=True)]
+        self._draw_shadows(points, parts, ranges)
+        corners = _corners(self.view.project(points))
+        camera = self.view.camera
+        limit = 16 * np.array([camera.width, camera.height])
+        inside = np.all(np.maximum.reduceat(corners, begins) >= 0, axis=1)
+        inside &= np.all(np.minimum.reduceat(corners, begins) < limit, axis=1)
+        for number in np.flatnonzero(inside).tolist():
+            part = parts[number]
+            _fill(self._drawn, corners[ranges[number]], part.level * _FRACTION, part.convex)
+
+    def _draw_shadows(
+        self, points: NDArray[np.float64], parts: Sequence[Part], ranges: Sequence[slice]
+    ) -> None:
+        """Darken the image in the soft shadows of the parts. ``ranges``: their points in
+        ``points``."""
+        casting = [(part, each) for part, each in zip(parts, ranges, strict=True) if part.shade]
+        if not casting:
+            return
+        above = np.concatenate([points[each] for _, each in casting])
+        pixels = self.view.project(above[:, :2] + above[:, 2:] * LAMP)
+        window = self._window(pixels, 4 * _COARSE)
+        if window is None:
+            return
+        top, left = (part.start for part in window)
+        grid = np.full([-(-(each.stop - each.start) // _COARSE) for each in window], 255, np.uint8)
+        cells = _corners((pixels - [left, top] - (_COARSE - 1) / 2.0) / _COARSE)
+        begin = 0
+        for part, _ in casting:
+            outline = cells[begin : begin + part.count]
+            _fill(grid, outline, round(255 * (1.0 - part.shade)), part.convex)
+            begin += part.count
+        grid = np.asarray(cv2.blur(cv2.blur(grid, (3, 3)), (3, 3)), dtype=np.uint8)
+        # Most of the window has no shadow, so only strips of rows with a shadow are darkened.
+        for row in range(0, grid.shape[0], _STRIP):
+            shaded = np.flatnonzero(grid[row : row + _STRIP].min(axis=0) < 255)
+            if not len(shaded):
+                continue
+            first, above_it = max(int(shaded[0]) - 1, 0), min(row, 1)
+            near = grid[row - above_it : row + _STRIP + 1, first : int(shaded[-1]) + 2]
+            light = cv2.resize(near, (0, 0), fx=_COARSE, fy=_COARSE)[above_it * _COARSE :]
+            y, x = top + row * _COARSE, left + first * _COARSE
+            darkened = self._drawn[
+                y : min(y + _STRIP * _COARSE, window[0].stop),
+                x : min(x + light.shape[1], window[1].stop),
+            ]
+            light = light[: darkened.shape[0], : darkened.shape[1]]
+            cv2.multiply(darkened, light, dst=darkened, scale=1.0 / 255.0, dtype=cv2.CV_16S)
+
+    def _draw_objects(self, start: NDArray[np.float64], end: NDArray[np.float64]) -> bool:
+        """Redraw all objects at rest if one of them has moved, then draw the moving objects. Return
+        whether the image changed."""
+        moved = bool(self._moving_windows)
         still = np.all(start == end, axis=-1)
         key = tuple((number, *start[number].tolist()) for number in np.flatnonzero(still).tolist())
         if key != self._still_key:
+            moved = True
             for window in (*self._still_windows, *self._moving_windows):
                 self._still[window] = self._background_image[window]
                 self._still16[window] = self._clean[window] = self._background16[window]
@@ -280,6 +375,7 @@ class SceneRenderer:
                     floor[window] = patch
                 self._clean[window] = _fixed_point(patch)
                 self._moving_windows.append(window)
+        return moved or bool(moving)
 
     def _draw(
         self,
@@ -387,6 +483,18 @@ def _random_fields(seed: int, height: int, width: int) -> tuple[Array32, Array32
     grain = random.standard_normal((64, 80)).astype(np.float32)
     field = random.standard_normal((4, height + 192, width + 256), dtype=np.float32)
     return grain, field, dict(random.bit_generator.state)
+
+
+def _corners(pixels: NDArray[np.float64]) -> NDArray[np.int32]:
+    """Return pixels as the fixed-point coordinates of ``_fill``."""
+    return np.round(pixels * 16.0).astype(np.int32)
+
+
+def _fill(image: NDArray[Any], corners: NDArray[np.int32], level: float, convex: bool) -> None:
+    """Fill a polygon with corners (N, 2), or their convex hull."""
+    if convex:
+        corners = np.asarray(cv2.convexHull(corners), dtype=np.int32)
+    cv2.fillPoly(image, [corners], (level,), shift=4)
 
 
 def _fixed_point(image: Array32) -> NDArray[np.int16]:

@@ -247,7 +247,7 @@ class CameraTruth:
         default=0.3,
     )
     exposure: float = quantity("exposure time", "s", 0.0001, 0.03, default=0.006)
-    shows_arm: bool = text("whether the image shows the arm above the table", default=False)
+    shows_arm: bool = text("whether the image shows the arm and the strikers", default=True)
     latency: float = quantity("delay from exposure to publication", "s", 0.0, 0.5, default=0.015)
 
 

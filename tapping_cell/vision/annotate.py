@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from tapping_cell.se2 import Pose, transform_points
 from tapping_cell.vision.camera import Array, Image, View
 from tapping_cell.vision.markers.detection import ReferenceMap
-from tapping_cell.vision.observation import Observation
+from tapping_cell.vision.observation import Observation, Problem
 
 Colour = tuple[int, int, int]
 
@@ -140,7 +140,9 @@ def _caption(picture: NDArray[np.uint8], observation: Observation, goal: Pose | 
             left = f"to the goal: {distance * 1e3:.2f} mm, {math.degrees(rotation):+.2f} deg"
             texts.append((left, BLUE))
     if observation.sentence:
-        texts.append((observation.sentence, AMBER if observation.visible else RED))
+        expected = observation.problem is Problem.NONE and not observation.visible
+        colour = WHITE if expected else AMBER if observation.visible else RED
+        texts.append((observation.sentence, colour))
     scale = _scale(picture)
     letters = int(90 * picture.shape[1] / 1280.0 / scale)
     lines = [(line, colour) for text, colour in texts for line in _wrapped(text, letters)]

@@ -42,7 +42,8 @@ class Observation:
     ``visible``. While the object is at rest (since ``at_rest_since``, s), they combine
     ``frames_fused`` frames; while it moves at ``velocity`` (m/s, m/s, rad/s), they come from this
     frame only. ``sentence`` explains ``problem``. If there is no problem, ``sentence`` is a warning
-    that does not invalidate the pose, or it is empty.
+    that does not invalidate the pose, or explains without fault why the object is not visible, or
+    it is empty.
     """
 
     stamp: float

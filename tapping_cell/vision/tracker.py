@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
 
@@ -66,7 +66,8 @@ class PoseTracker:
 
     ``camera`` is the calibrated camera and ``table`` the map of reference markers. ``seen`` is the
     object's marker or its outline, and ``others`` are the markers or outlines of the other objects.
-    Pass frames to :meth:`update` in the order in which they were captured.
+    ``hidden`` returns the ids of the reference markers that are known to be hidden now, about which
+    no warning is needed. Pass frames to :meth:`update` in the order in which they were captured.
     """
 
     def __init__(
@@ -76,8 +77,10 @@ class PoseTracker:
         seen: ObjectMarker | ObjectOutline,
         settings: TrackerSettings | None = None,
         others: Sequence[ObjectMarker | ObjectOutline] = (),
+        hidden: Callable[[], Collection[int]] = tuple,
     ) -> None:
         s = settings or TrackerSettings()
+        self._hidden = hidden
         self.camera = camera
         self.settings = s
         self.table = TableTracker(camera, table, s.table)
@@ -329,7 +332,11 @@ class PoseTracker:
         """Warning about the table for this frame; empty if there is none."""
         since, sentence = self._warning
         if stamp - since > _WARNED:
-            return table_notice(self.table, self._references.repeated, self._references.missed)
+            missed = self._references.missed
+            if missed:
+                expected = set(self._hidden())
+                missed = [row for row in missed if int(self.table.ids[row]) not in expected]
+            return table_notice(self.table, self._references.repeated, missed)
         if self.table.displaced:
             return table_notice(self.table, [], [])
         return sentence

@@ -144,7 +144,6 @@ def cell(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cell]:
     folder = tmp_path_factory.mktemp("cell")
     truth = safe_load((shared_folder() / "truth" / "default.yaml").read_text())
     truth["further_starts"] = [[*UNKNOWN]]
-    truth["camera"] = {**truth.get("camera", {}), "shows_arm": True}
     (folder / "truth.yaml").write_text(safe_dump(truth))
     parameters: dict[str, dict[str, object]] = {
         "sim_world": {

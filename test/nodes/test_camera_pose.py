@@ -11,18 +11,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 from builtin_interfaces.msg import Time as Stamp
-from diagnostic_msgs.msg import DiagnosticArray
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from harness import TIMEOUT_S, Bench, bench
 from rclpy.duration import Duration
 from rclpy.qos import qos_profile_sensor_data
 from rclpy.time import Time
-from sensor_msgs.msg import CameraInfo, Image
+from sensor_msgs.msg import CameraInfo, Image, JointState
 from tapping_cell_msgs.msg import ErrorCode, ObjectState
 
 from tapping_cell.configuration.cell import load_cell
 from tapping_cell.configuration.files import shared_folder
 from tapping_cell.configuration.objects import load_object
+from tapping_cell.hardware.scara import Joints
 from tapping_cell.logic.poses import covariance_from_message
 from tapping_cell.nodes.camera import images
 from tapping_cell.nodes.camera.camera_pose import CameraPose
@@ -32,6 +33,7 @@ from tapping_cell.nodes.camera.pose_messages import camera_from_message
 from tapping_cell.nodes.cell_node import LATCHED
 from tapping_cell.nodes.conversions import from_message
 from tapping_cell.se2 import Pose
+from tapping_cell.simulation.arm_drawing import ArmDrawing
 from tapping_cell.simulation.rendered_camera import Occluder, SceneRenderer
 from tapping_cell.simulation.scene import make_renderer
 from tapping_cell.simulation.truth import CameraTruth
@@ -361,3 +363,44 @@ def test_compressed_images_are_measured() -> None:
     assert states[-1].at_rest and states[-1].frames_fused >= 10
     assert measured.distance_to(TRUE) < 0.0001
     assert abs(measured.rotation_to(TRUE)) < math.radians(0.1)
+
+
+def test_what_the_arm_hides_is_no_problem(cell: Cell) -> None:
+    """The arm covers the object and a reference marker. Without its joints, this is a problem."""
+    configuration = load_cell()
+    arm = configuration.arm
+    tip = configuration.arm_base.inverse() @ TRUE @ Pose(-0.07, 0.0, 0.0)
+    joints = arm.geometry().inverse((tip.x, tip.y, arm.strike_height, tip.theta)).joints
+    assert joints is not None
+    drawing = ArmDrawing(arm, configuration.file.tapper, configuration.arm_base).at(joints)
+    corners = [[1.0, 1.0, 0.0], [-1.0, 1.0, 0.0], [0.0, -1.0, 0.0]]
+    hand = Occluder(np.array([TRUE.x, TRUE.y, 0.02]) + 0.04 * np.array(corners))
+    cell.show(4)
+
+    def covered() -> ObjectState:
+        for _ in range(8):
+            image = cell.renderer.render(TRUE, occluders=(hand,), drawings=(drawing,))
+            state = cell.send(images.to_message(image, "mono8"))
+        return state
+
+    state = covered()
+    assert not state.visible and state.error_code == ErrorCode.OBJECT_NOT_SEEN
+    health = cell.bench.listen(DiagnosticArray, "/diagnostics")
+    publisher = cell.node.create_publisher(JointState, "joint_states", 10)
+    cell.bench.wait(lambda: publisher.get_subscription_count() > 0, "the node listens")
+    message = JointState(name=list(Joints._fields), position=[float(each) for each in joints])
+    for _ in range(TRIES):
+        publisher.publish(message)
+        # Joints of another robot on the same topic change nothing.
+        publisher.publish(JointState(name=["wheel"], position=[1.0]))
+        state = covered()
+        if not state.error_code:
+            break
+    assert (state.visible, state.error_code, state.error_msg) == (False, ErrorCode.NONE, "")
+    health.clear()
+    for _ in range(TRIES):
+        covered()
+        if len(health) > 1:
+            break
+    assert health[-1].status[0].level == DiagnosticStatus.OK, health[-1].status[0].message
+    assert cell.show(4)[-1].visible

@@ -10,9 +10,10 @@ published on ``other_objects``. The latest states of all objects are published o
 
 from __future__ import annotations
 
+import math
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import cast
 
@@ -32,6 +33,7 @@ from tapping_cell.logic.frames import TABLE
 from tapping_cell.logic.poses import covariance_to_message
 from tapping_cell.nodes.camera import images
 from tapping_cell.nodes.camera.annotated_images import AnnotatedImages
+from tapping_cell.nodes.camera.arm_view import ArmView
 from tapping_cell.nodes.camera.dropped_frames import Backlog
 from tapping_cell.nodes.camera.pose_messages import camera_to_message
 from tapping_cell.nodes.camera.unknown_search import UnknownSearch
@@ -146,6 +148,7 @@ class CameraPose(CellNode[Parameters]):
         self._other_files: tuple[ObjectFile, ...] = ()
         self._turns = RoundRobin(0)
         self._tracker: PoseTracker | None = None
+        self._arm: ArmView | None = None
         self._unknown: UnknownSearch | None = None
         self._camera: CameraModel | None = None
         self._calibration: tuple[object, ...] = ()
@@ -157,6 +160,7 @@ class CameraPose(CellNode[Parameters]):
         self._tapped = ""
         self._awaited = False
         self._other_states: list[ObjectState] = []
+        self._seen_at: dict[str, Pose] = {}
         self._received = time.monotonic()
         self._missed = 0
         self._camera_published_at = 0.0
@@ -202,15 +206,20 @@ class CameraPose(CellNode[Parameters]):
         for state in self._other_states:
             state.header.frame_id = TABLE
         self._camera, self._calibration, self._bits = None, (), 8
-        if self._cell.file.arm is not None and self.settings.search_unknown_objects:
-            self._unknown = UnknownSearch(self, self._cell, self._other_files)
+        self._seen_at.clear()
+        if self._cell.file.arm is not None:
+            self._arm = ArmView(self, self._cell)
+            if self.settings.search_unknown_objects:
+                self._unknown = UnknownSearch(self, self._cell, self._other_files, self._arm)
 
     def cleanup(self) -> None:
         """Discard the track and the unknown objects."""
         self._tracker = None
         if self._unknown is not None:
             self._unknown.close()
-        self._unknown = None
+        if self._arm is not None:
+            self._arm.close()
+        self._arm = self._unknown = None
 
     def health(self) -> tuple[bytes, str, dict[str, object]]:
         """Report the number of processed images and the current error."""
@@ -255,7 +264,9 @@ class CameraPose(CellNode[Parameters]):
         seen, others = cell.object.seen(), [file.seen() for file in self._other_files]
         settings = TrackerSettings(other_ids=marker_ids([seen, *others]))
         self._late = 0
-        self._tracker = PoseTracker(camera, cell.references, seen, settings, others)
+        self._tracker = PoseTracker(
+            camera, cell.references, seen, settings, others, self._hidden_references
+        )
         self._turns = RoundRobin(len(others))
 
     def _on_image(self, message: Image, info: dict[str, int]) -> None:
@@ -302,7 +313,8 @@ class CameraPose(CellNode[Parameters]):
             grey, stamp, due, every_frame=self._awaited
         )
         sentence = image.explain(observation.sentence, observation.visible)
-        observation = replace(observation, sentence=sentence)
+        observation = self._explained(self._cell_object, replace(observation, sentence=sentence))
+        others = {n: self._explained(self._other_files[n], one) for n, one in others.items()}
         self._publish(message, observation)
         self._count_late(observation)
         self._publish_camera(message)
@@ -311,6 +323,35 @@ class CameraPose(CellNode[Parameters]):
         self._busy_seconds += time.perf_counter() - began
         self._annotate(message, grey, observation)
         self._publish_others(message, others)
+
+    @property
+    def _cell_object(self) -> ObjectFile:
+        assert self._cell is not None
+        return self._cell.object
+
+    def _hidden_references(self) -> Collection[int]:
+        """Return the ids of the reference markers that the arm may hide."""
+        if self._arm is None or self._tracker is None or self._cell is None:
+            return ()
+        markers = self._cell.references.markers
+        places = [(marker.x, marker.y, 0.0) for marker in markers]
+        radii = [marker.size / math.sqrt(2.0) for marker in markers]
+        hidden = self._arm.hides(self._tracker.view, places, radii)
+        return [marker.id for marker, gone in zip(markers, hidden, strict=True) if gone]
+
+    def _explained(self, file: ObjectFile, seen: Observation) -> Observation:
+        """Return an observation without a problem if the arm hides the place where the object was
+        seen last."""
+        if seen.pose is not None:
+            self._seen_at[file.name] = seen.pose
+        last = self._seen_at.get(file.name)
+        if CODES[seen.problem] != ErrorCode.OBJECT_NOT_SEEN or last is None or self._arm is None:
+            return seen
+        assert self._tracker is not None
+        place = [(last.x, last.y, file.height)]
+        if not self._arm.hides(self._tracker.view, place, [file.shape.reach()])[0]:
+            return seen
+        return replace(seen, problem=Problem.NONE, sentence="the arm hides the object")
 
     def _note_depth(self, image: GreyImage) -> None:
         """Log how many bits of 16 hold the image. The number never decreases while the node is

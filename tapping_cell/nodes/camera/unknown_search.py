@@ -4,24 +4,22 @@ withdrawn."""
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from geometry_msgs.msg import Point32, Polygon
 from numpy.typing import NDArray
 from rclpy.node import Node
 from rclpy.time import Time
-from sensor_msgs.msg import JointState
 from tapping_cell_msgs.msg import ArmState, ObjectState, ObjectStates
 
 from tapping_cell.configuration.cell import Cell
 from tapping_cell.configuration.objects import ObjectFile
-from tapping_cell.hardware.scara import Joints
-from tapping_cell.logic.arm_in_view import bars_in_table
+from tapping_cell.nodes.camera.arm_view import ArmView
 from tapping_cell.nodes.cell_node import LATCHED
 from tapping_cell.nodes.conversions import from_message
 from tapping_cell.se2 import transform_points
-from tapping_cell.vision import ArmBars, Standing, UnknownObjects, View
+from tapping_cell.vision import Standing, UnknownObjects, View
 
 PERIOD_S = 0.5
 """Time between two searches."""
@@ -40,10 +38,10 @@ class UnknownSearch:
     the image and would be taken for objects.
     """
 
-    def __init__(self, node: Node, cell: Cell, others: Sequence[ObjectFile]) -> None:
-        """Subscribe to the arm's state and joints."""
+    def __init__(self, node: Node, cell: Cell, others: Sequence[ObjectFile], arm: ArmView) -> None:
+        """Subscribe to the arm's state."""
         self._node = node
-        self._cell = cell
+        self._arm = arm
         self._shapes: dict[str, tuple[NDArray[np.float64], float]] = {
             file.name: (np.array(file.shape.outline()), file.height)
             for file in (cell.object, *others)
@@ -53,20 +51,11 @@ class UnknownSearch:
         self._seen: dict[str, tuple[float, ObjectState]] = {}
         self._searched_at = -math.inf
         self._clear = False
-        self._joints: Mapping[str, float] = {}
-        self._is_scara = cell.arm.chain() is None
-        driver = cell.arm.ros2_control
-        self._names = tuple(driver.joints) if driver else Joints._fields
-        topic = driver.joint_states if driver else "joint_states"
-        self._subscriptions = [
-            node.create_subscription(ArmState, "arm_state", self._on_arm, LATCHED),
-            node.create_subscription(JointState, topic, self._on_joints, 10),
-        ]
+        self._subscription = node.create_subscription(ArmState, "arm_state", self._on_arm, LATCHED)
 
     def close(self) -> None:
-        """End the subscriptions."""
-        for subscription in self._subscriptions:
-            self._node.destroy_subscription(subscription)
+        """End the subscription."""
+        self._node.destroy_subscription(self._subscription)
 
     @property
     def outlines(self) -> list[NDArray[np.float64]]:
@@ -95,18 +84,19 @@ class UnknownSearch:
         measured = all(state.header.stamp.sec for state in states)
         # Search also if the camera's clock was set back.
         due = not 0.0 <= stamp - self._searched_at < period
-        possible = self._clear and still and measured and due and self._is_arm_known
+        # An arm whose position is not known would be taken for an unknown object.
+        possible = self._clear and still and measured and due and self._arm.is_known
         if view is None or not possible:
             return
         recent = [state for seen_at, state in self._seen.values() if stamp - seen_at <= MEMORY_S]
         standing = [self._standing(state) for state in recent]
-        self._found.search(image, view, standing, self._arm())
+        self._found.search(image, view, standing, self._arm.bars())
         self._searched_at = stamp
 
     def enter(self, message: ObjectStates) -> None:
         """Enter the outlines and the time of the last search into a message."""
         if self._searched_at == -math.inf:
-            if self._is_arm_known:
+            if self._arm.is_known:
                 message.unknown_searched_at = BEFORE_FIRST_SEARCH.to_msg()
             return
         message.unknown_objects = [
@@ -115,27 +105,9 @@ class UnknownSearch:
         ]
         message.unknown_searched_at = Time(nanoseconds=round(1e9 * self._searched_at)).to_msg()
 
-    @property
-    def _is_arm_known(self) -> bool:
-        """Whether the arm's position is known. Otherwise, the arm would be taken for an unknown
-        object."""
-        return not self._is_scara or all(name in self._joints for name in self._names)
-
     def _on_arm(self, message: ArmState) -> None:
         self._clear = message.clear_of_camera and message.state == ArmState.IDLE
-
-    def _on_joints(self, message: JointState) -> None:
-        self._joints = dict(zip(message.name, message.position, strict=False))
 
     def _standing(self, state: ObjectState) -> Standing:
         outline, height = self._shapes[state.object_id]
         return Standing(transform_points(from_message(state.pose.pose), outline), height)
-
-    def _arm(self) -> ArmBars | None:
-        """Return the bars that model the arm's links, in ``table``, or None if the arm's joint
-        positions are not known or the arm's shape is not known."""
-        if not self._is_scara or not self._is_arm_known:
-            return None
-        joints = [[self._joints[name] for name in self._names]]
-        bars = bars_in_table(self._cell, self._cell.arm.geometry(), joints)
-        return ArmBars(bars.start[0], bars.end[0], bars.radius)

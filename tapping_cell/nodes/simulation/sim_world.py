@@ -163,7 +163,7 @@ class SimWorld(CellNode[Parameters]):
                 ports=lambda board, port: self.port_path(
                     numbered(settings.tapper_port, board) or port
                 ),
-                on_strike=self._on_fixed_strike,
+                on_strike=self._on_strike,
                 seed=settings.seed,
             )
         return SimulatedDevices(
@@ -189,18 +189,10 @@ class SimWorld(CellNode[Parameters]):
         """Report the number of published images."""
         return DiagnosticStatus.OK, "ok", {"pictures": self._frames}
 
-    def _on_strike(self, tip: Pose, height: float, speed: float, now: float) -> float:
-        """Simulate a strike and return its measured speed. Called from the emulator's thread."""
-        with self._lock:
-            if self._world is None:
-                return speed
-            self._world.strike(tip, height, speed, now)
-            return self._world.gate_speed(speed)
-
-    def _on_fixed_strike(
+    def _on_strike(
         self, tip: Pose, height: float, speed: float, tapper: TapperSection, now: float
     ) -> tuple[float, float]:
-        """Simulate a strike of a tapper at a fixed mount. Called from its emulator's thread."""
+        """Simulate a strike. Called from the emulator's thread."""
         with self._lock:
             if self._world is None:
                 return speed, tapper.stroke
@@ -236,10 +228,10 @@ class SimWorld(CellNode[Parameters]):
         self._publish_truth(middle, stamp)
         for contact in contacts:
             self._publish_contact(contact)
-        solids = self._devices.solids(now) if camera.shows_arm and self._devices else ()
-        picture = images.to_message(
-            self._renderer.render([*opening.values()], [*closing.values()], solids), "mono8"
-        )
+        devices = self._devices if camera.shows_arm else None
+        drawings = devices.drawings(now, taken) if devices is not None else ()
+        image = self._renderer.render([*opening.values()], [*closing.values()], drawings=drawings)
+        picture = images.to_message(image, "mono8")
         picture.header.frame_id = images.OPTICAL_FRAME
         picture.header.stamp = stamp.to_msg()
         self._late.append((now + camera.latency, picture))

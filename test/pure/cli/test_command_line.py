@@ -14,6 +14,7 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tapping_cell import __version__
 from tapping_cell.cli import VERBS, main
 from tapping_cell.cli.graph import parameter_text
 
@@ -24,6 +25,12 @@ def test_every_verb_has_help_with_an_example(verb: str, capsys: pytest.CaptureFi
         main([verb, "--help"])
     assert ended.value.code == 0
     assert f"python -m tapping_cell {verb}" in capsys.readouterr().out
+
+
+def test_the_version_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["--version"])
+    assert (ended.value.code, capsys.readouterr().out) == (0, f"tapping_cell {__version__}\n")
 
 
 @pytest.mark.parametrize("unbuffered", ["", "1"])

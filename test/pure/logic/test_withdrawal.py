@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import partial
 
 import cv2
 import numpy as np
@@ -12,10 +13,10 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from tapping_cell.configuration.cell import load_cell
-from tapping_cell.hardware.motion import path_duration, withdraw_path
-from tapping_cell.hardware.scara import Joints
+from tapping_cell.hardware.motion import path_duration, strike_path, withdraw_path
+from tapping_cell.hardware.scara import Branch, Joints, TipPose
 from tapping_cell.logic.arm_in_view import may_hide
-from tapping_cell.logic.withdrawal import MARKERS_HIDDEN, Scene, withdrawal
+from tapping_cell.logic.withdrawal import MARKERS_HIDDEN, Scene, hides_object, withdrawal
 from tapping_cell.se2 import Pose
 from tapping_cell.simulation.arm_picture import arm_solids
 
@@ -128,3 +129,20 @@ def test_without_a_camera_or_a_free_view_the_arm_parks() -> None:
     assert withdrawal(CELL, None, joints, MOTION) == park
     under_the_arm = replace(scene, predicted=Pose(0.0, 0.46, 0.0))
     assert withdrawal(CELL, under_the_arm, joints, MOTION) == park
+
+
+@given(strikes)
+def test_the_arm_strikes_with_the_elbow_on_the_side_that_leaves_the_object_visible(tap):
+    made = struck(*tap)
+    assume(made is not None)
+    scene, _ = made
+    hides = partial(hides_object, CELL, scene)
+    tip = CELL.arm_base.inverse() @ scene.strike
+    target = TipPose(tip.x, tip.y, ARM.strike_height, tip.theta)
+    sides = [GEOMETRY.inverse(target, side).joints for side in Branch]
+    reached = strike_path(GEOMETRY, ARM.park, target, MOTION, hides)[-1].joints
+    own = GEOMETRY.inverse(target, near=ARM.park).branch
+    possible = [not hides(joints) for joints in sides if joints is not None]
+    assert hides(reached) is not any(possible)
+    if not hides(GEOMETRY.inverse(target, own, near=ARM.park).joints):
+        assert GEOMETRY.branch_of(reached) is own

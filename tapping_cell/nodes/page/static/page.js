@@ -182,6 +182,7 @@ function renderPicture() {
     const [x, y, angle] = seen.pose;
     parts.push(`${cell.object} ${seen.at_rest ? "at rest" : "moving"} at x ${signed(x)} mm, y ${signed(y)} mm, ${signed(angle)}\u00b0`);
   }
+  else if (!seen.code) parts.push(`the arm hides ${cell.object}`);
   if (seen.sentence && !words) parts.push(`${seen.sentence} (${seen.code})`);
   if (!stale) parts.push(`image ${age.toFixed(1)} s old`);
   const unknown = state ? state.arrangement.unknown : 0;
@@ -232,7 +233,6 @@ function renderAttention(mode) {
   if (mode !== "lost") {
     if (card.hidden !== !steps.length) setText($("attention-answer"), "");
     card.hidden = !steps.length;
-    document.body.classList.toggle("halted", Boolean(steps.length));
     if (asking && !steps.some((step) => step.command === asking && step.state === "now")) ask("");
   }
   card.classList.toggle("mild", !halted);

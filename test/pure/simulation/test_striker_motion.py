@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tapping_cell.hardware.energy import EnergyCurve
-from tapping_cell.simulation.striker_speed import striker_speed
+from tapping_cell.simulation.striker_motion import striker_speed
 
 MEASURED = EnergyCurve(((0.001, 0.1), (0.01, 0.4), (0.1, 1.2)))
 
