@@ -111,7 +111,6 @@ WRONG: list[tuple[str, str]] = [
     ("new-object FILES/text.png --name a --height 12 --output o.yaml", "read as an image"),
     ("new-object FILES/text.png --name a --height -3 --output o.yaml", "limits 0.5 to 500"),
     ("report FILES", "FILES"),
-    ("evaluate --all --planner exact", "not allowed with argument --all"),
     ("evaluate --probe", "only with --table"),
     ("evaluate --all --trials 10 --report FILES/empty.yaml", "is a file, not a folder"),
     ("single-tap --namespace left", "only with --attach"),
