@@ -721,6 +721,8 @@ class Trial:
 
     def _work_on_a_quiet_goal(self, number: int) -> None:
         """Wait until no fault has an effect any more; then, the next goal must be reached."""
+        for process in self.processes.values():
+            process.planted = None
         self.scheduler.run(self.scheduler.now + QUIET_S)
         self.recover()
         self._faulty, self.tap_limit = False, 0
