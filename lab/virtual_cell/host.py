@@ -10,6 +10,7 @@ import math
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass
+from functools import partial
 from typing import Any
 
 from lab.virtual_cell.network import Network
@@ -394,17 +395,21 @@ class Process:
     def _take(self, topic: str, message: Any) -> None:
         if topic == "emergency_stop" and isinstance(message, Bool) and message.data:
             self._stop_publishers |= self._present_publishers()
-        self._watch_authority()
+        self._note_conflict(self._network.conflict())
         stop = message if topic == "emergency_stop" else None
         self._handle(self.logic.on_message, topic, message, received=stop)
         self.on_handled(self.name, topic, message)
 
-    def _watch_authority(self) -> None:
+    def _note_conflict(self, conflict: str) -> None:
         """Notify the state machine of the beginning or the end of a conflict between nodes."""
-        conflict = self._network.conflict()
         if conflict != self._conflict:
             self._conflict = conflict
             self._handle(self.logic.on_conflict, conflict)
+
+    def _is_contested(self, service: str) -> bool:
+        """Return whether a wrong or a second node works in the cell or offers the service."""
+        self._note_conflict(self._network.conflict() or self._network.impostor(service))
+        return bool(self._conflict)
 
     def _serve(self, service: str) -> Callable[[Any, Callable[[Any], None]], None]:
         def handle(request: Any, answer: Callable[[Any], None]) -> None:
@@ -528,10 +533,14 @@ class Process:
 
             def answered(response: Any | None) -> None:
                 if life == self._life:
-                    self._when_awake(lambda: self._handle(self.logic.on_answer, token, response))
+                    self._when_awake(partial(handle, response))
 
-            self._watch_authority()
-            if self._conflict:
+            def handle(response: Any | None) -> None:
+                # The server may have been replaced since the request was sent.
+                trusted = response is not None and not self._is_contested(effect.service)
+                self._handle(self.logic.on_answer, token, response if trusted else None)
+
+            if self._is_contested(effect.service):
                 self._scheduler.after(0.0, lambda: answered(None))
                 return
             self._network.call(effect.service, effect.request, answered, effect.timeout)
@@ -599,7 +608,7 @@ class Process:
         if self._scheduler.now < self.frozen_until:
             self._tick = self._scheduler.at(self.frozen_until, lambda: self._on_tick(life))
             return
-        self._watch_authority()
+        self._note_conflict(self._network.conflict())
         if not self._connecting:
             self._handle(self.logic.on_tick)
         period = self.logic.tick_period

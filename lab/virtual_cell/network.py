@@ -135,14 +135,21 @@ class Network:
         """Return which topics several nodes publish and whether several nodes offer
         ``hold_still``."""
         gone = self._scheduler.now - STRANGER_S
+        contested = [(topic, found) for topic, found in self._publishers.items() if len(found) > 1]
         providers = {
             topic: [name for name, last in found.items() if name != STRANGER or last > gone]
-            for topic, found in self._publishers.items()
+            for topic, found in contested
         }
         providers |= {service: list(self._servers.get(service, ())) for service in ONE_SERVER}
         return "; ".join(
             f"{name} of {', '.join(nodes)}" for name, nodes in providers.items() if len(nodes) > 1
         )
+
+    def impostor(self, service: str) -> str:
+        """Return a sentence if the server of a service is not the node that publishes the topic
+        that belongs to it."""
+        strange = self._servers.get(service, {}).keys() - self._publishers[ONE_SERVER[service]]
+        return f"{service} of {', '.join(sorted(strange))}" if strange else ""
 
     def call(
         self,

@@ -194,7 +194,7 @@ class DeviceLogic(ABC, Generic[State, Event]):
     def _stop(self, now: Now) -> None:
         """Go to the stopped state, from any state."""
 
-    def _contested(self) -> None:
+    def _end_contested(self, why: CodedError) -> None:
         """End what must not continue during a conflict between nodes."""
 
     @abstractmethod
@@ -309,9 +309,9 @@ class DeviceLogic(ABC, Generic[State, Event]):
     def on_conflict(self, sentence: str, now: Now) -> Sequence[Effect]:
         """Handle the beginning, a change or the end of a conflict between nodes."""
         self._conflict = (ErrorCode.CONFIGURATION_CONFLICT, sentence) if sentence else None
-        if sentence:
+        if self._conflict is not None:
             self._log(LogLevel.ERROR, sentence)
-            self._contested()
+            self._end_contested(self._conflict)
         return self._drain(now)
 
     def on_job(self, event: JobProgress | JobEnded, now: Now) -> Sequence[Effect]:
@@ -431,7 +431,9 @@ class DeviceLogic(ABC, Generic[State, Event]):
 
     def _shown_error(self, now: Now) -> CodedError:
         """Return the error for the published state: the device's own, or why nothing begins."""
-        return self._error if self._error[0] else self._conflict or self._error
+        # The error of a refused tap may name an earlier conflict.
+        own = self._error[0] not in (ErrorCode.NONE, ErrorCode.CONFIGURATION_CONFLICT)
+        return self._error if own or self._conflict is None else self._conflict
 
     def _set_error(self, code: int, sentence: str) -> None:
         """Set a fault or refusal as the error in the published state, and log it once."""

@@ -27,8 +27,8 @@ ONE_PUBLISHER = (
     "tap_command",
 )
 """Topics that one node of a cell publishes."""
-ONE_SERVER = ("hold_still",)
-"""Services that one node of a cell offers."""
+ONE_SERVER = {"hold_still": "arm_state"}
+"""Services that one node of a cell offers, each with the topic that the same node publishes."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -361,9 +361,9 @@ class TapperLogic(DeviceLogic[State, Event]):
         if self._fixed:
             self._charge_when_ready(now)
 
-    def _contested(self) -> None:
-        if self._conflict is not None and self.state in SERVING:
-            self._give_up(self._conflict)
+    def _end_contested(self, why: CodedError) -> None:
+        if self.state in SERVING:
+            self._give_up(why)
 
     def _set_tap(self, tap_id: int, outcome: int) -> None:
         self._fire_job = None

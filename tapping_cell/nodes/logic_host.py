@@ -12,7 +12,7 @@ import threading
 import time
 import traceback
 from collections import deque
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Generic, Protocol, TypeVar, cast
 
@@ -37,7 +37,7 @@ from tapping_cell.logic.host import (
     ShutDown,
     UnansweredRequest,
 )
-from tapping_cell.nodes.authority import contest
+from tapping_cell.nodes.authority import contest, impostor
 from tapping_cell.nodes.cell_node import CellNode, Parameters
 from tapping_cell.nodes.kept_content import KeptContent
 from tapping_cell.nodes.message_conversion import Mirrored, from_ros, ros_class, to_ros
@@ -136,7 +136,7 @@ class LogicHost(Generic[Machine]):
         if topic in ONE_PUBLISHER:
             # The publisher of a message is known before its message arrives, so a message of a
             # second publisher is never handled as that of the first.
-            self._watch_authority((topic,))
+            self._note_conflicts({topic: contest(self._node, topic)})
         stop = message if topic == stops.TOPIC else None
         self._dispatch(lambda now: self._logic.on_message(topic, message, now), stop)
         if topic == stops.TOPIC and message.data:
@@ -180,21 +180,17 @@ class LogicHost(Generic[Machine]):
             if time.monotonic() > until and self._calls.pop(token, None) is not None:
                 client.remove_pending_request(future)
                 self._answered(token, None)
-        self._watch_authority((*ONE_PUBLISHER, *ONE_SERVER))
+        names = (*ONE_PUBLISHER, *ONE_SERVER)
+        self._note_conflicts({name: contest(self._node, name) for name in names})
         self._dispatch(self._logic.on_tick)
 
-    def _watch_authority(self, names: Iterable[str]) -> None:
-        """Notify the state machine if a second node begins or ends to publish one of these topics
-        or to offer one of these services."""
-        before = dict(self._conflicts)
-        for name in names:
-            sentence = contest(self._node, name)
-            if sentence:
-                self._conflicts[name] = sentence
-            else:
-                self._conflicts.pop(name, None)
-        if self._conflicts != before:
-            sentence = "; ".join(self._conflicts.values())
+    def _note_conflicts(self, found: Mapping[str, str]) -> None:
+        """Notify the state machine of a change. ``found``: sentence about each of these topics and
+        services that a wrong or a second node provides; empty for the others."""
+        conflicts = {name: text for name, text in {**self._conflicts, **found}.items() if text}
+        if conflicts != self._conflicts:
+            self._conflicts = conflicts
+            sentence = "; ".join(conflicts.values())
             self._dispatch(lambda now: self._logic.on_conflict(sentence, now))
 
     def _answered(self, token: Any, response: Any) -> None:
@@ -310,8 +306,7 @@ class LogicHost(Generic[Machine]):
 
     def _call(self, call: fx.Call) -> None:
         client = self._clients[call.service]
-        self._watch_authority((call.service,))
-        if self._conflicts or not client.service_is_ready():
+        if not client.service_is_ready() or self._is_contested(call.service):
             self._answered(call.token, None)
             return
         future = client.call_async(to_ros(call.request))
@@ -320,9 +315,17 @@ class LogicHost(Generic[Machine]):
 
         def done(answered: Future) -> None:
             if self._calls.pop(call.token, None):
-                self._answered(call.token, from_ros(answered.result(), kind))
+                # The server may have been replaced since the request was sent.
+                trusted = not self._is_contested(call.service)
+                self._answered(call.token, from_ros(answered.result(), kind) if trusted else None)
 
         future.add_done_callback(done)
+
+    def _is_contested(self, service: str) -> bool:
+        """Return whether a wrong or a second node works in the cell or offers the service."""
+        wrong = contest(self._node, service) or impostor(self._node, service)
+        self._note_conflicts({service: wrong})
+        return bool(self._conflicts)
 
     def _ask_stops(self, token: Any) -> None:
         """Subscribe again, so that every transient-local publisher of the stop topic resends its

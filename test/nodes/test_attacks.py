@@ -111,10 +111,12 @@ class Cell:
     def over(self) -> bool:
         return any(s.tap_id == self.tap_id and s.outcome for s in self.tapper_states)
 
-    def contested(self) -> bool:
-        """Return whether the tapper itself last reported a conflict between nodes."""
-        own = [s for s in self.tapper_states if s.tappers]
-        return bool(own) and own[-1].error_code == ErrorCode.CONFIGURATION_CONFLICT
+    def contested(self, topic: str) -> bool:
+        """Return whether the tapper itself last reported a second publisher of this topic."""
+        own = [s for s in self.tapper_states if s.tappers][-1:]
+        return any(
+            s.error_code == ErrorCode.CONFIGURATION_CONFLICT and topic in s.error_msg for s in own
+        )
 
     def at_rest(self) -> bool:
         resting = self.board.state in ("SAFE", "UNHOMED")
@@ -231,7 +233,9 @@ def test_a_second_publisher_is_named_and_nothing_is_charged_fired_or_moved(cell:
         cell.tapper_states.clear()
         with flood(cell, kind, topic, make, qos):
             cell.tap()
-            cell.wait(cell.contested, f"the second publisher of {topic} is reported")
+            cell.wait(
+                partial(cell.contested, topic), f"the second publisher of {topic} is reported"
+            )
             cell.wait(cell.at_rest, "nothing is charged and nothing moves")
         (sentence,) = {s.error_msg for s in cell.tapper_states if topic in s.error_msg}
         assert "/probe" in sentence and f"/{OWNERS[topic]}" in sentence

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
-from virtual_node import VirtualNode
+from virtual_node import PROBE, VirtualNode
 
 from lab.virtual_cell.serial_line import SerialLine
 from tapping_cell.hardware.tapper import TapperDriver
@@ -52,7 +52,7 @@ class Cell(VirtualNode):
             started=started,
         )
         self.arm_holds = True
-        self.network.serve("arm", "hold_still", self._hold_still)
+        self.network.serve(PROBE, "hold_still", self._hold_still)
         if started:
             self.wait_state(TapperState.SAFE)
 
