@@ -307,11 +307,14 @@ class Process:
 
     def kill(self) -> None:
         """Kill the process as SIGKILL does: it publishes nothing more, and its port is closed."""
+        self._end(killed=True)
+
+    def _end(self, killed: bool) -> None:
         if not self.alive:
             return
         self._life += 1
         self.alive = self.active = False
-        self._network.leave(self.name)
+        self._network.leave(self.name, killed)
         if self._tick is not None:
             self._tick.cancel()
         if self._worker is not None:
@@ -352,7 +355,7 @@ class Process:
         if self.alive:
             self._handle(self.logic.on_lifecycle, Deactivated())
             self._handle(self.logic.on_lifecycle, ShutDown())
-        self.kill()
+        self._end(killed=False)
 
     def request(
         self,

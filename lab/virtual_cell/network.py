@@ -20,6 +20,9 @@ STRANGER = "somebody_else"
 """Name of a program that is not part of the cell."""
 STRANGER_S = 1.0
 """Time for which that program remains after its last message, s."""
+LINGERS_S = 3.0
+"""Minimum time for which a node that was killed remains in the graph, s: the lease of the Fast DDS
+profile without the period of its announcements."""
 STANDS_IN = {"program": "tap_planner"}
 """Programs whose messages stand for those of a node of the cell."""
 
@@ -83,6 +86,8 @@ class Network:
         self._servers: dict[str, dict[str, Handle]] = {}
         self._publishers: dict[str, dict[str, float]] = {topic: {} for topic in ONE_PUBLISHER}
         """Time of the last message of each publisher of these topics."""
+        self._killed: dict[str, float] = {}
+        """Time at which a node was killed that has not published again."""
 
     def subscribe(self, node: str, topic: str, deliver: Deliver) -> None:
         """Subscribe to a topic; latched messages are sent immediately."""
@@ -100,6 +105,7 @@ class Network:
         ``volatile``: whether the publisher is volatile although the topic is latched."""
         self.on_publish(node, topic, message)
         self.history.setdefault(topic, deque(maxlen=20)).append(message)
+        self._killed.pop(node, None)
         if topic in self._publishers:
             self._publishers[topic][STANDS_IN.get(node, node)] = self._scheduler.now
         if volatile:
@@ -134,7 +140,10 @@ class Network:
     def conflict(self) -> str:
         """Return which topics several nodes publish and whether several nodes offer
         ``hold_still``."""
-        gone = self._scheduler.now - STRANGER_S
+        now = self._scheduler.now
+        for node in [name for name, at in self._killed.items() if now > at + LINGERS_S]:
+            self._forget_publisher(node)
+        gone = now - STRANGER_S
         contested = [(topic, found) for topic, found in self._publishers.items() if len(found) > 1]
         providers = {
             topic: [name for name, last in found.items() if name != STRANGER or last > gone]
@@ -179,8 +188,9 @@ class Network:
         self._scheduler.after(self._delay(service, "request"), arrive)
         self._scheduler.after(timeout, lambda: finish(None))
 
-    def leave(self, node: str) -> None:
-        """Remove a node with its subscriptions, services and latched messages."""
+    def leave(self, node: str, killed: bool = False) -> None:
+        """Remove a node with its subscriptions, services and latched messages. A node that was
+        killed counts as a publisher for some more time."""
         for topic, links in self._links.items():
             self._links[topic] = [link for link in links if link.subscriber != node]
         for kept in self._last.values():
@@ -189,6 +199,13 @@ class Network:
             publishers.discard(node)
         for servers in self._servers.values():
             servers.pop(node, None)
+        if killed:
+            self._killed[node] = self._scheduler.now
+        else:
+            self._forget_publisher(node)
+
+    def _forget_publisher(self, node: str) -> None:
+        self._killed.pop(node, None)
         for found in self._publishers.values():
             found.pop(node, None)
 
