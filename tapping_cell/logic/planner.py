@@ -1388,9 +1388,8 @@ class PlannerLogic:
             state.planned_tap = planned.planned(by, self.goals.cell.strike_height)
         if task is not None:
             task.fill(state, pose)
-            told = state.state, state.taps
-            if task.token is not None and told != task.told:
-                task.told = told
+            changed = (state.state, state.taps) != (self.last.state, self.last.taps)
+            if task.token is not None and changed:
                 self._effects.append(Feedback(task.token, task.feedback(state)))
         elif self.state in FINAL:
             for name in REMEMBERED:

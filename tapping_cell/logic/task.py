@@ -183,8 +183,6 @@ class Task:
     late: int = 0
     """Consecutive taps that were not fired because a message came too late."""
     without_effect: int = 0
-    told: tuple[int, int] = (-1, -1)
-    """State and number of taps in the last feedback."""
     sent: int = 0
     """ROS time in ns; a goal with an older stamp does not replace this one."""
     free_space: object | None = None

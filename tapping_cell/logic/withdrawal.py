@@ -91,10 +91,9 @@ def hides_object(cell: Cell, scene: Scene | None, joints: Joints) -> bool:
     scene is not known or the arm is not a SCARA."""
     if scene is None or cell.arm.chain() is not None:
         return False
-    place = [[scene.before.x, scene.before.y, cell.object.height]]
+    place = np.array([[scene.before.x, scene.before.y, cell.object.height]])
     bars = bars_in_table(cell, cell.arm.geometry(), np.array([joints]))
-    clearance = view_clearance(scene.camera, bars.start, bars.end, bars.radius, place)
-    return bool(clearance[0, 0] < cell.object.body().bounding_radius)
+    return not _sees(cell, scene.camera, bars, place)[0, 0]
 
 
 def uncovering(

@@ -34,7 +34,7 @@ Event = TypeVar("Event")
 
 
 class ActionFollower(ClientNode, Generic[Event]):
-    """Client of one action that turns feedback and result into events."""
+    """Client of one action that turns the planner's state and the result into events."""
 
     last_event: ClassVar[type]
     """The event that ends a goal."""
@@ -45,6 +45,9 @@ class ActionFollower(ClientNode, Generic[Event]):
         self._handle: ClientGoalHandle | None = None
         self._has_goal = False
         """Whether a goal was sent, or is about to be sent."""
+        self._under_way = False
+        """Whether the planner has begun the last goal that was sent, so that ``plan_state`` and
+        ``arrangement_state`` are about this goal."""
         self._sent = 0
         """Number of goals sent so far. This number also identifies the latest goal."""
         self.arm_state: ArmState | None = None
@@ -177,17 +180,18 @@ class ActionFollower(ClientNode, Generic[Event]):
         """Send a goal from the executor's thread. If another thread sent it, the response could
         arrive before rclpy has registered the request, and would then be dropped."""
         self._handle = None
-        self._has_goal = True
+        self._has_goal, self._under_way = True, False
         self._executor.create_task(send, message)
 
     def _send(self, message: Any) -> None:
         # Numbered here, because the executor may run the tasks in another order.
         self._sent += 1
         number = self._sent
-        future = self._action.send_goal_async(
-            message, feedback_callback=lambda received: self._on_feedback(received.feedback)
-        )
+        future = self._action.send_goal_async(message, feedback_callback=self._on_feedback)
         future.add_done_callback(lambda done: self._on_response(done.result(), number))
+
+    def _on_feedback(self, received: Any) -> None:
+        self._under_way = True
 
     def _on_response(self, handle: Any, number: int) -> None:
         self._handle = handle
@@ -204,10 +208,6 @@ class ActionFollower(ClientNode, Generic[Event]):
     @abstractmethod
     def _event_of_silence(self) -> Event | None:
         """Return the event that reports missing messages, or None if no messages are missing."""
-
-    @abstractmethod
-    def _on_feedback(self, feedback: Any) -> None:
-        """Turn feedback of the action into events."""
 
     @abstractmethod
     def _on_result(self, result: Any) -> None:

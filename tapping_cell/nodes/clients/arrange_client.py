@@ -67,7 +67,7 @@ class ArrangeClient(ActionFollower[Event]):
         super().__init__(name, namespace, ArrangeObjects, "arrange_objects")
         self.poses: dict[str, Pose] = {}
         """Measured poses of the objects at rest, by name."""
-        self._taps, self._accepted = 0, False
+        self._taps = 0
         self._objects: tuple[ObjectEnd, ...] = ()
         subscribe = self.node.create_subscription
         subscribe(ObjectStates, "object_states", self._on_states, LATCHED)
@@ -97,7 +97,7 @@ class ArrangeClient(ActionFollower[Event]):
             max_taps=layout.max_taps,
             time_limit=layout.time_limit,
         )
-        self._taps, self._objects, self._accepted = 0, (), False
+        self._taps, self._objects = 0, ()
         self._send_goal(message, None)
 
     def _event_of_silence(self) -> ArrangementEnded | None:
@@ -105,11 +105,8 @@ class ArrangeClient(ActionFollower[Event]):
         ended = self._end_without_result()
         return None if ended is None else ArrangementEnded(ended.code, ended.sentence, self._taps)
 
-    def _on_feedback(self, feedback: ArrangeObjects.Feedback) -> None:
-        self._accepted = True  # from now on, arrangement_state is about this goal
-
     def _on_arrangement_state(self, message: ArrangementState) -> None:
-        if self._accepted and message.active and message.taps > self._taps:
+        if self._under_way and message.active and message.taps > self._taps:
             before, self._objects = self._objects, _ends(message.objects)
             self._taps = message.taps
             known = {one.name: one.taps for one in before}

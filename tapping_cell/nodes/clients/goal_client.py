@@ -87,7 +87,6 @@ class GoalClient(ActionFollower[Event]):
         self._taps_received = 0
         self._phase = ""
         self._proposed = 0
-        self._accepted = False
         self._confirm = self.node.create_client(ConfirmTap, "confirm_tap")
         subscribe = self.node.create_subscription
         subscribe(ObjectState, "object_state", self.keeper("object_state"), 10)
@@ -133,7 +132,6 @@ class GoalClient(ActionFollower[Event]):
         message = position_goal(goal, tolerance, stamp)
         message.probe, message.ask = probe, ask
         self._taps_received, self._phase, self._proposed = 0, "", 0
-        self._accepted = False
         self._send_goal(message, goal)
 
     def confirm(self, tap_id: int, confirm: bool, patience: float = 5.0) -> ConfirmTap.Response:
@@ -183,15 +181,12 @@ class GoalClient(ActionFollower[Event]):
         super()._on_plan_state(message)
         # A planner that has resumed the goal sends no feedback.
         resumed = self._watch is not None and self._watch.gone
-        if (self._accepted or resumed) and message.state not in (PlanState.IDLE, *FINAL_STATES):
+        if (self._under_way or resumed) and message.state not in (PlanState.IDLE, *FINAL_STATES):
             self._follow(message)
 
     def _on_ground_truth(self, message: PoseStamped) -> None:
         self.true_pose = from_message(message.pose)
         self._true_pose_received = time.monotonic()
-
-    def _on_feedback(self, feedback: PositionObject.Feedback) -> None:
-        self._accepted = True  # from now on, plan_state is about this goal
 
     def _follow(self, state: PlanState) -> None:
         self._receive(state.last_tap, state)
