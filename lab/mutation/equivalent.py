@@ -5,7 +5,6 @@ from __future__ import annotations
 COUNTS = "only equality of the counts before and after a request matters"
 INSTANT = "differs at a single instant of a continuous time"
 
-
 REASONS: dict[str, str] = {
     "logic.permit:longest_hold:7:operand:1": "check-config refuses a cell that exceeds the limit",
     "logic.permit:shortfall:4:compare:0": "a grant of 0 s falls short by the whole time either way",

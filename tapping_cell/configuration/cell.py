@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from tapping_cell.configuration.files import shared_folder
+from tapping_cell.configuration.hints import conflict_hint
 from tapping_cell.configuration.objects import ObjectFile, load_object
 from tapping_cell.configuration.provenance import Provenance
 from tapping_cell.configuration.schema import (
@@ -494,8 +495,11 @@ class ArmSection:
                 " for each joint"
             )
         try:
+            text = Path(chain.urdf).read_text(encoding="utf-8")
+            if conflict := conflict_hint(text):
+                raise ValueError(conflict)
             return chain_from_urdf(
-                Path(chain.urdf).read_text(encoding="utf-8"),
+                text,
                 chain.base_link,
                 chain.tip_link,
                 section.joints,

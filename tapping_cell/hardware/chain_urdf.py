@@ -118,8 +118,6 @@ def _robot(text: str) -> ElementTree.Element:
     expand = "expand the xacro file with: xacro FILE > arm.urdf"
     if len(text) > LARGEST_TEXT:
         raise ValueError(f"it has {len(text) / 1e6:.0f} MB (limit {LARGEST_TEXT / 1e6:.0f} MB)")
-    if re.search("^<<<<<<< ", text, re.MULTILINE):
-        raise ValueError("it contains markers of a merge conflict; keep one of the two versions")
     try:
         robot = ElementTree.fromstring(text)
         named: list[Any] = [

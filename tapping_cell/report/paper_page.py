@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 from collections.abc import Mapping, Sequence
 from dataclasses import astuple, dataclass, fields
 from pathlib import Path
@@ -12,6 +13,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from tapping_cell.durable_file import replace_text
 from tapping_cell.report.palette import GOAL, INK, PREDICTED, REST, STRIKE
 from tapping_cell.report.photograph import data_url
 from tapping_cell.report.rendering import render
@@ -53,15 +55,17 @@ def write_page(
 
     ``figures``: for each heading the images, with their captions.
     """
-    with (folder / TABLE).open("w", newline="", encoding="utf-8") as stream:
-        table = csv.writer(stream)
-        table.writerow([field.name for field in fields(Row)])
-        table.writerows(map(astuple, rows))
+    text = io.StringIO(newline="")
+    table = csv.writer(text)
+    table.writerow([field.name for field in fields(Row)])
+    table.writerows(map(astuple, rows))
+    replace_text(folder / TABLE, text.getvalue())
     sections: dict[str, list[tuple[str, ...]]] = {}
     for row in rows:
         sections.setdefault(row.section, []).append((row.quantity, row.paper, row.here, row.why))
     page = folder / PAGE
-    page.write_text(
+    replace_text(
+        page,
         render(
             "paper.html",
             sections=sections,
@@ -71,7 +75,6 @@ def write_page(
             ],
             commands=[(row.quantity, row.command) for row in rows],
         ),
-        encoding="utf-8",
     )
     return page
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import json
 import math
 from dataclasses import dataclass, replace
@@ -124,25 +125,20 @@ def write_comparison(
 
 def _write_trials(trials: dict[str, Results], path: Path) -> None:
     """Write one row for each trial of each method."""
-    with path.open("w", newline="", encoding="utf-8") as stream:
-        table = csv.writer(stream)
-        table.writerow(TRIAL_COLUMNS)
-        for label, results in trials.items():
-            columns = (
-                results.taps,
-                (End(code).name.lower() for code in results.end.tolist()),
-                results.inside,
-                *(
-                    (f"{value:.6g}" for value in values.tolist())
-                    for values in (
-                        1e3 * results.distance,
-                        np.degrees(results.rotation),
-                        results.seconds,
-                    )
-                ),
-            )
-            for number, row in enumerate(zip(*columns, strict=True)):
-                table.writerow([label, number, *row])
+    text = io.StringIO(newline="")
+    table = csv.writer(text)
+    table.writerow(TRIAL_COLUMNS)
+    for label, results in trials.items():
+        measured = (1e3 * results.distance, np.degrees(results.rotation), results.seconds)
+        columns = (
+            results.taps,
+            (End(code).name.lower() for code in results.end.tolist()),
+            results.inside,
+            *((f"{value:.6g}" for value in values.tolist()) for values in measured),
+        )
+        for number, row in enumerate(zip(*columns, strict=True)):
+            table.writerow([label, number, *row])
+    replace_text(path, text.getvalue())
 
 
 def draw_histograms(rows: dict[str, dict[str, Any]], path: Path) -> None:
