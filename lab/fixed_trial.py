@@ -17,7 +17,6 @@ from lab.faults.fixed_faults import (
 )
 from lab.oracle.fixed import FixedOracle
 from lab.trial import (
-    CLEAR_VIEW_S,
     NOTICED_S,
     RECOVERY_S,
     SERVES,
@@ -135,7 +134,7 @@ class FixedTrial(Trial):
                 TapperDriver(line, settings, draw_number=lambda below: int(draw.integers(below)))
                 for line in lines
             ]
-            limits = PeerLimits(unseen=CLEAR_VIEW_S, needs_camera=True)
+            limits = PeerLimits(needs_camera=True)
             return TapperLogic(TapperOptions(limits=limits, set_up=self.set_up)), TapperBoards(
                 drivers
             )

@@ -112,12 +112,11 @@ class TableTrial(Trial):
             CAMERA_SIGMA,
             self._names,
             self._observe_other,
+            self.physical.absent,
             lambda: self.physical.unknown,
         )
 
     def _observe_other(self, name: str, time: float) -> Pose | None:
-        if name in self.physical.absent:
-            return None
         with self.physical.regarding(name):
             return self._observe(time)
 

@@ -74,7 +74,7 @@ from tapping_cell.logic.planner_settings import PlannerSettings
 from tapping_cell.logic.poses import from_message, to_message
 from tapping_cell.logic.table_maps import TableMaps
 from tapping_cell.logic.tapper import TapperLogic, TapperOptions
-from tapping_cell.logic.tapper_peers import PeerLimits
+from tapping_cell.logic.tapper_peers import ARM_HIDES_S, PeerLimits
 from tapping_cell.messages import (
     ArmState,
     Bool,
@@ -145,13 +145,9 @@ SERVES = {
 }
 CAMERA_SIGMA = (5e-6, 5e-6, 5e-5)
 """Standard deviation of the pose in one frame: m, m, rad."""
-COVERED_S, CLEAR_VIEW_S = 4.0, 0.45
-"""Maximum times for which the object may be unseen before a shot, s. The first one applies if the
-arm can cover the object; on the way to a strike pose, the arm then covers the object for up to
-3.4 s. The second one applies if the arm cannot cover the object."""
 NOTICED_S = 0.7
-"""Addition to ``COVERED_S`` and ``CLEAR_VIEW_S`` that allows for delayed messages and for the
-board's firing window, s."""
+"""Addition to the time for which the object may be unseen before a shot, which allows for delayed
+messages and for the board's firing window, s."""
 GOAL_TIME_LIMIT_S = 120.0
 SHARE_OF_SHORT_LIMITS, SHORT_LIMIT_S = 0.2, (2.0, 25.0)
 """Fraction of the runs whose goals have a short time limit, and the range of that limit in s."""
@@ -357,7 +353,7 @@ class Trial:
             "tapper_trigger": self._computers["drivers"],
             "camera_pose": self._computers["camera"],
         }
-        self.oracle = self._make_oracle(COVERED_S if self.arm_covers else CLEAR_VIEW_S)
+        self.oracle = self._make_oracle(ARM_HIDES_S if self.arm_covers else PeerLimits().unseen)
         self.confirmation: ConfirmationOracle | None = None
         self.enabling: SetUpOracle | None = None
         self._people_rng = np.random.default_rng([seed, 11])
@@ -589,7 +585,7 @@ class Trial:
     def _programs(self, *lines: SerialLine) -> dict[str, Program]:
         """Return the program of each node. ``lines``: from ``_lines`` or ``_busy_lines``."""
         arm_line, tapper_line = lines
-        cell, unseen = self.cell, COVERED_S if self.arm_covers else CLEAR_VIEW_S
+        cell = self.cell
 
         def arm_connect(driver: ArmDriver, patience: float, _: Now) -> arm_jobs.Reading:
             driver.connect(timeout=patience)
@@ -621,7 +617,7 @@ class Trial:
             options = TapperOptions(limits=limits, set_up=self.set_up)
             return TapperLogic(options), driver
 
-        limits = PeerLimits(unseen=unseen, needs_camera=True)
+        limits = PeerLimits(needs_camera=True)
         programs: dict[
             str, tuple[Callable[[], tuple[Logic, Any]], Callable[..., Any], tuple[SerialLine, ...]]
         ] = {

@@ -48,7 +48,7 @@ class CameraFaults:
 class Camera:
     """Publishes ``object_state`` through ``publish`` while the process of the camera's node runs.
 
-    ``observe`` returns the true pose of the object at a time, or None while something covers it.
+    ``observe`` returns the true pose of the object at a time, or None while the arm covers it.
     ``ros_now`` returns the ROS time (ns) of the camera's computer. ``sigma``: standard deviation of
     the pose in one frame: m, m, rad.
     """
@@ -131,6 +131,11 @@ class Camera:
         if true is not None:
             off = np.array(self.faults.wrong_by) if now < self.faults.wrong_until else np.zeros(3)
             self._measure(state, self._track, np.array(true) + off, now)
+        elif now < self.faults.hidden_until:
+            state.error_code = ErrorCode.OBJECT_NOT_SEEN
+            state.error_msg = "the object is not seen; uncover it"
+        else:
+            state.hidden_by_arm = True
         return state
 
     def _measure(

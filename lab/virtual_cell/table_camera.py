@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Sequence, Set
 
 import numpy as np
 
@@ -39,8 +39,9 @@ BEFORE_FIRST_SEARCH = 1
 class TableCamera(Camera):
     """Publishes ``object_state``, ``other_objects`` and ``object_states``.
 
-    ``observe_other`` returns the true pose of another object at a time, or None while something
-    covers it. ``find_unknown`` returns the outlines of the objects without an object file.
+    ``observe_other`` returns the true pose of another object at a time, or None while the arm
+    covers it. ``absent``: names of the objects that are not on the table. ``find_unknown`` returns
+    the outlines of the objects without an object file.
     """
 
     def __init__(
@@ -54,12 +55,14 @@ class TableCamera(Camera):
         sigma: tuple[float, float, float],
         others: Sequence[str],
         observe_other: Callable[[str, float], Pose | None],
+        absent: Set[str],
         find_unknown: Callable[[], Sequence[Outline]],
     ) -> None:
         self.others_hidden_until = dict.fromkeys(others, -math.inf)
         self._network = network
         self._others = tuple(others)
         self._true_pose_of = observe_other
+        self._absent = absent
         self._find_unknown = find_unknown
         super().__init__(
             scheduler,
@@ -131,10 +134,15 @@ class TableCamera(Camera):
     def _observe_other(self, name: str, stamp: int, now: float) -> ObjectState:
         state = ObjectState(object_id=name)
         state.header.stamp, state.header.frame_id = to_stamp(stamp), "table"
-        hidden = now < self.others_hidden_until[name]
+        hidden = now < self.others_hidden_until[name] or name in self._absent
         true = None if hidden else self._true_pose_of(name, now)
         if true is not None:
             self._measure(state, self._tracks[name], np.array(true), now)
+        elif hidden:
+            state.error_code = ErrorCode.OBJECT_NOT_SEEN
+            state.error_msg = f"{name} is not seen; uncover it"
+        else:
+            state.hidden_by_arm = True
         self._states[name] = state
         return state
 

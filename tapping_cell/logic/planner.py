@@ -498,9 +498,11 @@ class PlannerLogic:
             task.sent = to_nanoseconds(request.message.header.stamp) or task.sent
 
     def _outdated(self, request: Request) -> Refused | None:
-        """Return a refusal if the goal under way is newer than this one, or None."""
+        """Return a refusal if a goal of the topic is older than the goal under way, or None. The
+        client of an action learns what becomes of its goal, and may send it again."""
         sent = to_nanoseconds(request.message.header.stamp)
-        if self._task is None or sent <= 0 or sent >= self._task.sent:
+        of_action = request.token is not None
+        if self._task is None or of_action or sent <= 0 or sent >= self._task.sent:
             return None
         older = (self._task.sent - sent) / NANOSECONDS
         return Refused(

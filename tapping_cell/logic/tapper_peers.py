@@ -38,6 +38,8 @@ ABOVE_M, ABOVE_RAD = 0.005, 0.05
 the shot."""
 HEIGHT_M = 0.002
 """Maximum difference in height between the tip and its strike pose at the shot."""
+ARM_HIDES_S = 4.0
+"""Maximum time, s, for which the arm may hide the object on its way to a strike pose."""
 IDLE_LIMIT_S = 1.5
 """Message timeout, s, of a planner that did not command the tap. Such a planner publishes only
 twice a second."""
@@ -52,8 +54,8 @@ class PeerLimits:
     silence: float = 0.45
     """Message timeout of planner and camera, s."""
     unseen: float = 0.45
-    """Maximum time, s, for which the object may be unseen before the shot. The time must be longer
-    if the arm itself covers the object on its way to some strike poses."""
+    """Maximum time, s, for which the object may be unseen before the shot, apart from the time for
+    which the arm hides it."""
     moved: float = 0.002
     """Maximum distance of the object from the pose for which the tap was planned, m."""
     turned: float = 0.05
@@ -101,6 +103,30 @@ class Mounts:
         return None
 
 
+@dataclass(slots=True)
+class Sight:
+    """When an object was seen; times in s of the steady clock, by the stamps of the images.
+
+    ``state``: newest state that shows the object. ``unexplained``: the longest time since then for
+    which the object was hidden by something other than the arm, up to ``explained_at``.
+    """
+
+    state: ObjectState
+    seen_at: float
+    explained_at: float
+    unexplained: float = 0.0
+
+    def hide_by_arm(self, at: float) -> None:
+        """Record that the arm hides the object."""
+        if at > self.explained_at:
+            self.unexplained = max(self.unexplained, at - self.explained_at)
+            self.explained_at = at
+
+    def unexplained_for(self, now: float) -> float:
+        """Return the longest time for which the object was hidden by something else, s."""
+        return max(self.unexplained, now - self.explained_at)
+
+
 class TapperPeers:
     """Last messages of arm, planner and camera, with their times on this computer's steady clock.
 
@@ -123,10 +149,9 @@ class TapperPeers:
         self._height = 0.0
         self._names: set[str] = set()
         """Names of the objects that the camera has reported."""
-        self._seen: dict[str, tuple[ObjectState, float]] = {}
+        self._seen: dict[str, Sight] = {}
         self._received: dict[str, ObjectState] = {}
-        """State of each object in the last message on ``object_state``, or a newer one;
-        ``_seen``: newest state by its stamp, and its time."""
+        """State of each object in the last message on ``object_state``, or a newer one."""
         self._mounts: Mounts | None = None
 
     def use_mounts(self, mounts: Mounts) -> None:
@@ -180,9 +205,12 @@ class TapperPeers:
         seen_at = self._clocks["camera"].to_steady(state.header.stamp, now)
         if state.visible and state.error_code == ErrorCode.NONE:
             for name in names:
-                if name not in self._seen or seen_at >= self._seen[name][1]:
-                    self._seen[name] = state, seen_at
+                if name not in self._seen or seen_at >= self._seen[name].seen_at:
+                    self._seen[name] = Sight(state, seen_at, seen_at)
                     self._received[name] = state
+        elif state.hidden_by_arm:
+            for name in names & self._seen.keys():
+                self._seen[name].hide_by_arm(seen_at)
         return seen_at
 
     def unknown_object(self, name: str) -> CodedError | None:
@@ -357,13 +385,22 @@ class TapperPeers:
         None."""
         if self._picture_at is None:
             return None
-        seen, seen_at = self._seen.get(self._object, (None, -math.inf))
-        limits, unseen = self._limits, now.steady - seen_at
-        if seen is None or unseen > limits.unseen:
+        sight, limits = self._seen.get(self._object), self._limits
+        if sight is None:
+            return ErrorCode.OBJECT_NOT_SEEN, "the object has not been seen yet; uncover it"
+        seen, unseen = sight.state, now.steady - sight.seen_at
+        if sight.unexplained_for(now.steady) > limits.unseen:
             return (
                 ErrorCode.OBJECT_NOT_SEEN,
                 f"the object has not been seen for {unseen:.2f} s (limit {limits.unseen:.2f} s);"
-                " uncover it, or raise unseen_limit if the arm itself covers it",
+                " uncover it",
+            )
+        longest = max(ARM_HIDES_S, limits.unseen)
+        if unseen > longest:
+            return (
+                ErrorCode.OBJECT_NOT_SEEN,
+                f"the arm has hidden the object for {unseen:.2f} s (limit {longest:.2f} s); raise"
+                " unseen_limit if the arm needs longer to its strike poses",
             )
         if self._mounts is not None and not seen.at_rest:
             return (

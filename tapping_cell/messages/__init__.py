@@ -485,6 +485,7 @@ class ObjectState:
     header: Header = field(default_factory=Header)
     object_id: str = ""
     visible: bool = False
+    hidden_by_arm: bool = False
     at_rest: bool = False
     pose: PoseWithCovariance = field(default_factory=PoseWithCovariance)
     velocity: Twist = field(default_factory=Twist)

@@ -519,6 +519,7 @@ def _state_of(picture: Image, name: str, observation: Observation) -> ObjectStat
     """Convert an observation to an object state."""
     state = _empty_state(picture, name, CODES[observation.problem], observation.sentence)
     state.visible = observation.visible
+    state.hidden_by_arm = not observation.visible and observation.problem is Problem.NONE
     state.at_rest = observation.at_rest
     state.frames_fused = observation.frames_fused
     state.references_used = list(observation.references_used)

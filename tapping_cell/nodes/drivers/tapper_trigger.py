@@ -59,8 +59,8 @@ class Parameters(CellParameters):
         default=0.45,
     )
     unseen_limit: float = quantity(
-        "maximum time for which the object may be out of view before a tap is fired; increase it "
-        "if the arm occludes the object on its way",
+        "maximum time for which the object may be out of view before a tap is fired; if the arm "
+        "hides it, 4 s are allowed",
         "s",
         0.1,
         10.0,

@@ -7,15 +7,18 @@ import math
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
 import pytest
 from virtual_node import PROBE, VirtualNode
 
 from lab.virtual_cell.serial_line import SerialLine
 from tapping_cell.hardware.tapper import TapperDriver
+from tapping_cell.logic.clock import NANOSECONDS, Now, to_stamp
 from tapping_cell.logic.host import Deactivated
 from tapping_cell.logic.poses import to_message
 from tapping_cell.logic.tap_commands import LARGEST_JUMP
 from tapping_cell.logic.tapper import TapperLogic, TapperOptions
+from tapping_cell.logic.tapper_peers import PeerLimits, TapperPeers
 from tapping_cell.messages import (
     ArmState,
     Bool,
@@ -315,6 +318,43 @@ def test_an_object_away_from_its_planned_pose_is_not_struck(cell, pose, visible,
     assert cell.shots() == []
     words = {ErrorCode.OBJECT_MOVED: "from the pose for which the tap was planned"}
     assert words.get(code, "has not been seen") in cell.last.error_msg
+
+
+@pytest.mark.parametrize(
+    ("by_arm", "by_hand", "refusal"),
+    [
+        # The object is seen until the time 0 s, then hidden by the arm or by a hand.
+        ((0.0, 3.9), None, None),
+        ((0.0, 4.2), None, "the arm has hidden the object"),
+        (None, (0.0, 0.4), None),
+        (None, (0.0, 0.5), "has not been seen for"),
+        ((0.0, 1.0), (1.0, 1.4), None),
+        ((0.0, 1.0), (1.0, 1.5), "has not been seen for"),
+        # The arm then covers the place, so that nobody knows what the hand did there.
+        ((0.5, 1.5), (0.0, 0.5), "has not been seen for"),
+    ],
+)
+def test_only_the_arm_may_hide_an_object_for_long_before_a_shot(by_arm, by_hand, refusal):
+    peers = TapperPeers(PeerLimits())
+
+    def send(at: float, **how: Any) -> None:
+        message = ObjectState(**how)
+        message.header.stamp = to_stamp(round((100.0 + at) * NANOSECONDS))
+        now = Now(100.0 + at, round((100.0 + at) * NANOSECONDS))
+        peers.on_object_state(message, now)
+
+    send(0.0, visible=True, at_rest=True)
+    end = max(last for span in (by_arm, by_hand) if span for last in span)
+    for at in np.arange(0.05, end + 1e-9, 0.05):
+        hand = by_hand is not None and by_hand[0] < at <= by_hand[1] + 1e-9
+        if hand:
+            send(at, error_code=ErrorCode.OBJECT_NOT_SEEN)
+        else:
+            send(at, hidden_by_arm=True)
+    peers.begin_tap("", 0.0)
+    now = Now(100.0 + end, round((100.0 + end) * NANOSECONDS))
+    found = peers._disturbance(Pose(0.0, 0.0, 0.0), now)
+    assert (found is None) if refusal is None else (found is not None and refusal in found[1])
 
 
 def test_the_state_of_the_active_tap_is_never_overwritten_by_a_read() -> None:
