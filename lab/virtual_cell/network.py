@@ -102,7 +102,13 @@ class Network:
     ) -> None:
         """Send a message to all subscribers of the topic. ``only``: the one node that receives the
         message; the message is lost for all other nodes, as can happen with best-effort delivery.
-        ``volatile``: whether the publisher is volatile although the topic is latched."""
+        ``volatile``: whether the publisher is volatile although the topic is latched.
+
+        A stranger sends nothing on a topic that no node of the cell publishes at the time: without
+        SROS 2, a node that is alone is the one that the others trust."""
+        publishers = self._publishers.get(topic)
+        if node == STRANGER and publishers is not None and publishers.keys() <= {STRANGER}:
+            return
         self.on_publish(node, topic, message)
         self.history.setdefault(topic, deque(maxlen=20)).append(message)
         self._killed.pop(node, None)
