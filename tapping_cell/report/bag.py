@@ -30,7 +30,11 @@ from rosbags.interfaces import (
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.rosbag2.enums import CompressionFormat, CompressionMode
 from rosbags.rosbag2.errors import ReaderError
-from rosbags.rosbag2.storage_mcap import McapWriter, decompress
+from rosbags.rosbag2.storage_mcap import (
+    McapWriter,
+    decompress,
+    zstd,  # type: ignore[attr-defined]
+)
 from rosbags.serde.errors import SerdeError
 from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 from rosbags.typesys.base import TypesysError
@@ -110,6 +114,9 @@ class BagWriter:
             self._writer.open()
         except OSError as error:
             raise BagError(f"{folder} cannot be written ({error.strerror})") from error
+        # rosbags writes no checksums of chunks, and a changed byte can decompress without an error.
+        options = {int(zstd.CompressionParameter.checksum_flag): 1}
+        self._storage.compressor = lambda data: zstd.compress(data, options=options)
 
     def __enter__(self) -> BagWriter:
         return self
