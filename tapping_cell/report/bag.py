@@ -30,10 +30,10 @@ from rosbags.interfaces import (
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.rosbag2.enums import CompressionFormat, CompressionMode
 from rosbags.rosbag2.errors import ReaderError
-from rosbags.rosbag2.storage_mcap import (
+from rosbags.rosbag2.storage_mcap import (  # type: ignore[attr-defined]
     McapWriter,
     decompress,
-    zstd,  # type: ignore[attr-defined]
+    zstd,
 )
 from rosbags.serde.errors import SerdeError
 from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
