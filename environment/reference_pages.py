@@ -23,6 +23,7 @@ from tapping_cell.cli.errors import MEANINGS, ExitStatus
 from tapping_cell.configuration.cell import CellFile
 from tapping_cell.configuration.objects import ObjectFile
 from tapping_cell.configuration.table import TableFile
+from tapping_cell.conformance import arm, camera, planner, tapper
 from tapping_cell.report import error_codes
 from tapping_cell.report.columns import declared
 from tapping_cell.report.run import TapRow
@@ -195,6 +196,28 @@ values that contradict each other or physics.
 
 `make reference` writes this page from the declarations in the code.
 """
+_CONTRACTS = """# Contracts of the nodes
+
+Any node of the cell can be replaced by one of your own: a pose estimator, the driver of another
+arm, a planner in another language. The substitute has the topics, services and QoS of
+[nodes.md](../nodes.md#topics) and fulfils the duties below. They are what the other nodes rely on
+([safety.md](../safety.md)); how the substitute does it is its own affair.
+
+    python -m tapping_cell conformance scara_arm
+
+plays all other nodes, checks each duty of the running node, and ends with 0 if all are fulfilled.
+Run only the node under test in this ROS domain, with `sim_world` if its device is simulated.
+`camera_pose` is checked beside the running cell, with the object at rest in view. The checks of
+`scara_arm` move the arm over the table, and those of `tapper_trigger` fire the striker: clear the
+table, and keep away. After the last duty, the stop, a person presses the clear button.
+
+Three rules hold for every node. Times are compared by stamps in ROS time, so that a message that
+waited in a queue counts as old. Only one node publishes a state or command of a cell; while two do,
+nothing is charged, fired or moved (error 205). A `tap_id` is used once, and ids increase, even
+after a restart.
+
+`make reference` writes this page.
+"""
 FILES: tuple[tuple[str, str, type], ...] = (
     (
         "Cell file",
@@ -210,6 +233,12 @@ FILES: tuple[tuple[str, str, type], ...] = (
         TruthFile,
     ),
 )
+_PARTS = {
+    camera: "measures the pose of the object",
+    planner: "chooses the taps",
+    arm: "moves the striker",
+    tapper: "charges and fires the striker",
+}
 _TITLES = {kind: title.lower() for title, _, kind in FILES}
 
 
@@ -312,10 +341,20 @@ def _columns_of(kind: type) -> Iterator[str]:
             yield f"| {headers} | {columns.meaning} |\n"
 
 
+def contracts_page() -> str:
+    """Return the page on the duties of the nodes, generated from their checks."""
+    parts = [_CONTRACTS]
+    for part, title in _PARTS.items():
+        parts.append(f"\n## `{part.NODE}`: {title}\n\n| duty | text |\n| --- | --- |\n")
+        parts += [f"| {duty.number} | {_escaped(duty.text)} |\n" for duty in part.DUTIES]
+    return "".join(parts)
+
+
 PAGES: dict[Path, Callable[[], str]] = {
     DOCS / "commands.md": commands_page,
     DOCS / "reference" / "configuration.md": configuration_page,
     DOCS / "error_codes.md": error_codes_page,
+    DOCS / "reference" / "contracts.md": contracts_page,
     DOCS / "reference" / "taps.md": taps_page,
     DOCS.parent / "tapping_cell" / "cli" / "options.json": options_file,
 }

@@ -44,6 +44,7 @@ VERBS = {
     "report": "rewrite the reports of run folders, and compare runs",
     "check-config": "check configuration files without starting anything",
     "doctor": "check the settings of arm and tapper without moving them",
+    "conformance": "check whether a node of your own fulfils its duties in the cell",
     "urdf": "write the URDF of the arm or the fixed tappers, for RViz and Foxglove",
     "completion": "print shell code that completes verbs and options",
 }
