@@ -211,6 +211,10 @@ Run only the node under test in this ROS domain, with `sim_world` if its device 
 `scara_arm` move the arm over the table, and those of `tapper_trigger` fire the striker: clear the
 table, and keep away. After the last duty, the stop, a person presses the clear button.
 
+Examples: [pose_estimator.py](../../examples/own_nodes/pose_estimator.py) takes the poses of a
+motion-capture system; [pick_list.py](../../examples/own_nodes/pick_list.py) sends goals to the
+planner.
+
 Three rules hold for every node. Times are compared by stamps in ROS time, so that a message that
 waited in a queue counts as old. Only one node publishes a state or command of a cell; while two do,
 nothing is charged, fired or moved (error 205). A `tap_id` is used once, and ids increase, even
