@@ -53,6 +53,8 @@ grid."""
 _STATED = 1.0, 0.5
 """Typical amplitude of the lens errors in units of the deviations stated by the calibration, and
 its logarithmic standard deviation. A lens with stated deviations is never assumed to be exact."""
+_STATED_EXACT = 0.3
+"""Prior probability that the print is exact if the calibration states deviations."""
 _LEFT_OUT = 1e-3
 """Total probability of the unlikely combinations of amplitudes that may be dropped. This limit is
 low, because many unlikely combinations matter together, even if each of them is only a fiftieth as
@@ -64,7 +66,8 @@ class SystematicError:
     """The error model conditioned on the references; see :func:`condition`.
 
     It consists of K combinations of amplitudes: their weights (K,), the squared amplitudes
-    ``power`` (K,) of the lens error, and matrices that do not depend on the pose to be corrected.
+    ``power`` (K,) of the lens error, the mean variance ``own`` (m^2) of a marker's misplacement,
+    and matrices that do not depend on the pose to be corrected.
     """
 
     lens: Array
@@ -76,6 +79,7 @@ class SystematicError:
     inverse: Array
     dragged: Array
     steps: Array
+    own: float
 
     def at(self, response: Array, lens: Array) -> tuple[Array, Array]:
         """Expected error (3,) of a pose measured at a place, and covariance (3, 3) of the remaining
@@ -83,20 +87,22 @@ class SystematicError:
 
         ``response`` (3, 6) is the derivative of this pose with respect to the camera's pose, and
         ``lens`` (3, 8) its derivative with respect to the lens parameters (:func:`lens_shifts`).
-        The covariance includes the noise of the reference markers, but not the noise of the
-        object's marker.
+        The object's marker is assumed to be misplaced in the image as much as a reference marker,
+        by print, by lens errors nearby or by blur. The covariance includes this misplacement and
+        the noise of the reference markers, but not the noise of the object's marker.
         """
-        own, cross = lens @ lens.T, lens @ self.lens.T
+        same, cross = lens @ lens.T, lens @ self.lens.T
         pulled = cross @ self.gain.T @ response.T
         power = self.power[:, None, None]
         to_data = power * (cross @ self.basis) - response @ self.dragged
-        prior = power * (own - pulled - pulled.T) + response @ self.steps @ response.T
+        prior = power * (same - pulled - pulled.T) + response @ self.steps @ response.T
         answer = to_data @ self.inverse
         error = answer @ self.data
         left = prior - answer @ to_data.transpose(0, 2, 1)
         mean = self.weight @ error
         apart = error - mean
-        return mean, np.tensordot(self.weight, left, 1) + (self.weight * apart.T) @ apart
+        spread = np.tensordot(self.weight, left, 1) + (self.weight * apart.T) @ apart
+        return mean, spread + self.own * np.diag([1.0, 1.0, 0.0])
 
 
 def condition(
@@ -148,6 +154,7 @@ def condition(
         inverse=np.linalg.inv(total[kept]),
         dragged=moved @ basis,
         steps=moved @ gain.T,
+        own=float(weight[kept] @ p[kept] / weight[kept].sum()),
     )
 
 
@@ -161,7 +168,7 @@ def _prior(field: Array, print_: Array, stated: bool) -> Array:
         usually.append(density / density.sum())
         least = power == power.min()
         exactly.append(least / least.sum())
-    both, lens, sheet = (0.0, 0.0, _EXACT[0] + _EXACT[2]) if stated else _EXACT
+    both, lens, sheet = (0.0, 0.0, _STATED_EXACT) if stated else _EXACT
     count = len(field)
     return np.asarray(
         count
