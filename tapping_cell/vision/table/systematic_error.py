@@ -12,12 +12,13 @@ amplitudes as weight, so that the ambiguity left by few references increases the
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from scipy.linalg import block_diag
 
-from tapping_cell.vision.camera import Array, CameraModel, View
+from tapping_cell.vision.camera import Array, CameraModel, View, at_height
 
 _FOCAL, _ASPECT = 0.85, 0.35
 _LENS = 0.7, 0.7, 0.0015, 0.004, 0.00012, 0.00012
@@ -217,29 +218,23 @@ def lens_shifts(view: View, points: Array, height: float) -> tuple[Array, Array]
     deviation.
     """
     camera = view.camera
-    rays = camera.rays(view.project(points, height))
-    shifts = [
-        camera.rays(View(true, view.pose).project(points, height)) - rays
-        for true in _other_lenses(camera)
-    ]
-    return rays, np.stack(shifts, axis=-1)
+    seen = view.pose.apply(at_height(points, height))
+    rays = seen[..., :2] / seen[..., 2:]
+    flat = np.column_stack([rays.reshape(-1, 2), np.ones(rays.size // 2)])
+    zero = np.zeros(3)
+    _, jacobian = cv2.projectPoints(flat, zero, zero, camera.matrix, camera.coefficients)
+    slopes: Array = np.asarray(jacobian, dtype=float).reshape(len(flat), 2, -1)
+    # Columns 3 and 4 are the derivatives of the pixels with respect to the direction, columns 6 to
+    # 13 those with respect to fx, fy, cx, cy, k1, k2, p1 and p2.
+    shifts = np.linalg.solve(slopes[..., 3:5], slopes[..., 6:14] @ _lens_errors(camera))
+    return rays, np.asarray(shifts, dtype=float).reshape(*rays.shape, 8)
 
 
-def _other_lenses(camera: CameraModel) -> list[CameraModel]:
-    """Return eight cameras. In each camera, a different lens parameter is changed by its standard
-    deviation (stated by the calibration, otherwise typical)."""
-    focal, aspect, rest = _FOCAL, _ASPECT, list(_LENS)
+def _lens_errors(camera: CameraModel) -> Array:
+    """Return a matrix (8, 8): each column is an independent error of fx, fy, cx, cy, k1, k2, p1 and
+    p2 by one standard deviation (stated by the calibration, otherwise typical)."""
+    focal, aspect, rest = _FOCAL, _ASPECT, np.array(_LENS)
     if camera.deviations:
         focal = float(np.sqrt(np.mean(np.square(camera.deviations[:2]))))
-        aspect, rest = _STATED_ASPECT * focal, list(camera.deviations[2:])
-    others = [
-        replace(camera, fx=camera.fx + focal, fy=camera.fy + focal),
-        replace(camera, fx=camera.fx + aspect, fy=camera.fy - aspect),
-        replace(camera, cx=camera.cx + rest[0]),
-        replace(camera, cy=camera.cy + rest[1]),
-    ]
-    for index, deviation in enumerate(rest[2:]):
-        coefficients = camera.coefficients.tolist()
-        coefficients[index] += deviation
-        others.append(replace(camera, distortion=tuple(coefficients)))
-    return others
+        aspect, rest = _STATED_ASPECT * focal, np.array(camera.deviations[2:])
+    return np.asarray(block_diag([[focal, aspect], [focal, -aspect]], np.diag(rest)))

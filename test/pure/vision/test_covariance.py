@@ -12,6 +12,7 @@ from scenes import CAMERA, MARKER, REFERENCES, renderer
 from tapping_cell.se2 import transform_points
 from tapping_cell.vision import CameraModel, CameraPose, PoseTracker, ReferenceMap, View
 from tapping_cell.vision.markers.edges import BINS, MarkerEdges
+from tapping_cell.vision.table.systematic_error import lens_shifts
 from tapping_cell.vision.table.tracker import TableState, TableTracker
 
 ROW = 0.05
@@ -122,6 +123,28 @@ def test_a_cell_of_a_tenth_of_the_size_is_measured_alike():
         found.append(np.array([seen.pose.x / scale, seen.pose.y / scale, seen.pose.theta]))
     assert np.abs(found[1] - found[0])[:2].max() < 5e-6
     assert abs(found[1][2] - found[0][2]) < 5e-5
+
+
+def test_the_effects_of_lens_errors_are_those_of_changed_lenses():
+    """Compare the changes of direction with those of cameras whose lenses differ slightly. They are
+    finite even for a point beyond the circle at which the lens model folds back."""
+    view = View(dataclasses.replace(CAMERA, deviations=(1.0,) * 8), CameraPose.above((0, 0, 0.7)))
+    random = np.random.default_rng(6)
+    points, step = random.uniform([-0.3, -0.2], [0.3, 0.2], (20, 2)), 1e-6
+    rays, shifts = lens_shifts(view, points, HEIGHT)
+    changed = dataclasses.replace(CAMERA, cx=CAMERA.cx + step)
+    assert shifts[..., 2] * step == pytest.approx(
+        CAMERA.rays(View(changed, view.pose).project(points, HEIGHT)) - rays, abs=1e-12
+    )
+    k1, *others = CAMERA.distortion
+    changed = dataclasses.replace(CAMERA, distortion=(k1 + step, *others))
+    assert shifts[..., 4] * step == pytest.approx(
+        CAMERA.rays(View(changed, view.pose).project(points, HEIGHT)) - rays, abs=1e-10
+    )
+    folding = CameraModel(640, 512, 500.0, 500.0, 319.5, 255.5, (-0.2, 0.0, 0.0, 0.0, 0.0))
+    far = np.array([[1.05, 0.9]])
+    assert np.isnan(folding.rays([-320.0, -256.0])).all()
+    assert np.isfinite(lens_shifts(View(folding, view.pose), far, 0.0)[1]).all()
 
 
 def test_a_measured_map_may_be_scaled_and_rotated_as_a_whole():
