@@ -78,7 +78,8 @@ class Search:
 
 
 class ObjectFollower(ABC):
-    """Follows one object whose visible face is at ``height`` (m) above the table.
+    """Follows one object whose visible face is at ``height`` (m) above the table, with the standard
+    deviation ``height_tolerance``.
 
     ``reach`` is the root mean square distance (m) of the face's rim from its centre.
     ``wants_search`` requests a search of the whole next frame.
@@ -90,8 +91,11 @@ class ObjectFollower(ABC):
     """Fraction of the variance of a frame's pose that averaging over more frames does not
     reduce."""
 
-    def __init__(self, height: float, reach: float, rest: RestSettings) -> None:
+    def __init__(
+        self, height: float, height_tolerance: float, reach: float, rest: RestSettings
+    ) -> None:
         self.height = height
+        self.height_tolerance = height_tolerance
         self.reach = reach
         self.wants_search = True
         self.failure: Failure | None = None
@@ -213,7 +217,11 @@ class ObjectFollower(ABC):
             stamp=frame.stamp,
             visible=True,
             pose=Pose(*pose.tolist()),
-            covariance=spread + shared + extra + np.outer(instant, instant),
+            covariance=spread
+            + shared
+            + extra
+            + self._lifted(frame.newest, pose)
+            + np.outer(instant, instant),
             at_rest=motion.rest_since is not None,
             at_rest_since=motion.rest_since,
             frames_fused=motion.frames,
@@ -230,6 +238,13 @@ class ObjectFollower(ABC):
         moved = pose + pose_changes(points, newest - points)
         moved[2] = wrap_angle(moved[2])
         return moved
+
+    def _lifted(self, view: View, pose: Array) -> Array:
+        """Covariance (3, 3) of the pose due to the uncertain height of the visible face, which
+        displaces the pose away from the point below the camera."""
+        away = pose - np.append(view.pose.position[:2], pose[2])
+        away *= self.height_tolerance / (view.pose.position[2] - self.height)
+        return np.outer(away, away)
 
     def _cross(self, pose: Array) -> Array:
         """Points (4, 2) that represent the visible face at a pose.

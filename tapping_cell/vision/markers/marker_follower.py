@@ -42,7 +42,7 @@ class MarkerFollower(ObjectFollower):
         size_tolerance: float,
         other_ids: frozenset[int],
     ) -> None:
-        super().__init__(marker.height, marker.size / math.sqrt(3.0), rest)
+        super().__init__(marker.height, marker.height_tolerance, marker.size / math.sqrt(3.0), rest)
         self.marker = marker
         self.dictionary = marker.dictionary
         self._size_tolerance = size_tolerance

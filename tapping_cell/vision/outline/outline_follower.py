@@ -39,7 +39,7 @@ class OutlineFollower(ObjectFollower):
     def __init__(self, outline: ObjectOutline, table: ReferenceMap, rest: RestSettings) -> None:
         reach = math.sqrt(outline.area / math.pi)
         patient = replace(rest, longest=max(rest.longest, _LONGEST_WINDOW))
-        super().__init__(outline.height, reach, patient)
+        super().__init__(outline.height, outline.height_tolerance, reach, patient)
         self._shape = outline
         self._references = table.corners()
         self._blur = USUAL_BLUR
