@@ -2,8 +2,10 @@
 
 ``--folder`` is a folder of photographs with a file ``board.yaml``, or a folder of such folders
 (docs/vision.md lists public sets). The camera is calibrated from all photographs, as by ``calibrate
-camera``. In each photograph, every fourth marker of the board is a reference marker of the table,
-and every other marker is an object. The board states the true poses. ``board.yaml`` is one of:
+camera``. In each photograph, a quarter of the board's markers are reference markers of the table,
+and every other marker is an object. The board states the true poses. The references either
+surround the objects, as in a cell, or are every fourth marker, which on many boards is one edge, so
+that the pose of the table is extrapolated. ``board.yaml`` is one of:
 
     {kind: charuco, columns: 8, rows: 8, square: 0.025, marker: 0.019, dictionary: 4X4_50}
     {kind: grid, columns: 4, rows: 5, marker: 0.0375, gap: 0.005, dictionary: 6X6_1000}
@@ -43,7 +45,7 @@ from tapping_cell.vision.table.fit import initial_pose
 FOLDER = True
 """The section reads the folder ``--folder``."""
 EVERY = 4
-"""One marker in ``EVERY`` is a reference marker."""
+"""One marker in ``EVERY`` is a reference marker (at least four)."""
 BOUND = 16.27
 """Quantile of the chi-square distribution with 3 degrees of freedom at p = 0.001."""
 ENDINGS = {".png", ".jpg", ".jpeg", ".bmp", ".tif"}
@@ -115,6 +117,17 @@ def folders(folder: Path) -> list[Path]:
     return found
 
 
+def around(board: Board) -> list[int]:
+    """Choose markers that are as far from each other as possible, beginning in a corner."""
+    ids = sorted(board.places)
+    places = np.array([board.places[number] for number in ids])
+    gaps = np.linalg.norm(places[:, None] - places, axis=2)
+    chosen = [int(np.argmax(gaps.sum(axis=1)))]
+    while len(chosen) < max(4, len(ids) // EVERY):
+        chosen.append(int(np.argmax(gaps[chosen].min(axis=0))))
+    return sorted(ids[row] for row in chosen)
+
+
 def measure(folder: Path) -> dict[str, Any]:
     """Return the figures of every set."""
     cv2.setNumThreads(1)
@@ -137,7 +150,22 @@ def _set(folder: Path) -> dict[str, Any]:
     except CalibrationRefused as refusal:
         return {"photographs": len(images), "refused": str(refusal)}
     camera = with_deviations(calibration)
-    chosen = sorted(board.places)[::EVERY]
+    layouts = {"around": around(board), "every fourth": sorted(board.places)[::EVERY]}
+    return {
+        "photographs": len(images),
+        "lens": calibration.lens,
+        "rms_pixels": calibration.rms,
+        "layouts": {
+            name: _compared(list(images.values()), camera, board, chosen)
+            for name, chosen in layouts.items()
+        },
+    }
+
+
+def _compared(
+    images: list[np.ndarray], camera: CameraModel, board: Board, chosen: list[int]
+) -> dict[str, Any]:
+    """Measure with the markers ``chosen`` as references."""
     table = ReferenceMap(
         board.dictionary,
         tuple(ReferenceMarker(k, board.side, *board.places[k].tolist()) for k in chosen),
@@ -146,7 +174,7 @@ def _set(folder: Path) -> dict[str, Any]:
         ObjectMarker(board.dictionary, k, board.side, 0.0) for k in board.places if k not in chosen
     ]
     ours, theirs, both, squares, seconds = [], [], [], [], 0.0
-    for image in images.values():
+    for image in images:
         begin = resource.getrusage(resource.RUSAGE_SELF).ru_utime
         measured = dict(_ours(image, camera, table, objects, board))
         seconds += resource.getrusage(resource.RUSAGE_SELF).ru_utime - begin
@@ -158,9 +186,6 @@ def _set(folder: Path) -> dict[str, Any]:
         shared = measured.keys() & cv2_errors.keys()
         both += [(measured[k][0], cv2_errors[k]) for k in shared]
     return {
-        "photographs": len(images),
-        "lens": calibration.lens,
-        "rms_pixels": calibration.rms,
         "seconds": seconds / len(images),
         "cell": _figures(ours)
         | {
@@ -241,17 +266,21 @@ def lines(report: dict[str, Any]) -> list[str]:
             rows.append(f"{name}: calibration refused: {f['refused']}")
             continue
         rows.append(
-            f"{name}: {f['photographs']} photographs, {f['lens']}, rms {f['rms_pixels']:.2f} "
-            f"pixels, {f['seconds']:.2f} s each"
+            f"{name}: {f['photographs']} photographs, {f['lens']}, rms {f['rms_pixels']:.2f} pixels"
         )
-        parts = {"cell": f["cell"], "cv2.aruco": f["cv2.aruco"]}
-        parts |= {f"{who}, found by both": part for who, part in f["both"].items()}
-        for who, p in parts.items():
-            row = f"    {who:<30}  {p['found']:>5}"
-            if p["found"]:
-                row += f"  {p['median_mm']:>9.4f} {p['p95_mm']:>7.4f}"
-                row += f"  {p['median_deg']:>10.4f} {p['p95_deg']:>7.4f}"
-            if "square" in p:
-                row += f"  {p['square']:>7.2f} {100 * p['beyond']:>6.1f}%"
-            rows.append(row)
+        for layout, measured in f["layouts"].items():
+            rows.append(f"  references {layout}, {measured['seconds']:.2f} s each")
+            parts = {"cell": measured["cell"], "cv2.aruco": measured["cv2.aruco"]}
+            parts |= {f"{who}, found by both": part for who, part in measured["both"].items()}
+            rows += [_row(who, part) for who, part in parts.items()]
     return rows
+
+
+def _row(who: str, part: dict[str, float]) -> str:
+    row = f"    {who:<30}  {part['found']:>5}"
+    if part["found"]:
+        row += f"  {part['median_mm']:>9.4f} {part['p95_mm']:>7.4f}"
+        row += f"  {part['median_deg']:>10.4f} {part['p95_deg']:>7.4f}"
+    if "square" in part:
+        row += f"  {part['square']:>7.2f} {100 * part['beyond']:>6.1f}%"
+    return row

@@ -140,21 +140,6 @@ class _Fit(NamedTuple):
                 f"the views do not determine the camera's parameters: {error}"
             ) from error
 
-    def invertible(self) -> bool:
-        """Return whether the lens model can be inverted to 0.01 pixel along the image border."""
-        model = self.model()
-        along = np.linspace(0.0, 1.0, 17)
-        rim = np.concatenate([[(s, 0.0), (s, 1.0), (0.0, s), (1.0, s)] for s in along])
-        pixels = rim * (np.array(self.size) - 1)
-        rays, depth = model.rays(pixels), np.ones((len(pixels), 1))
-        back = np.abs(model.project(np.concatenate([rays, depth], axis=1)) - pixels).max()
-        # At the border, the distance from the principal point must still increase with the ray's
-        # angle.
-        further = model.project(np.concatenate([1.02 * rays, depth], axis=1))
-        centre = np.array([model.cx, model.cy])
-        grows = ((further - pixels) * (pixels - centre)).sum(axis=1) > 0
-        return bool(back < 0.01 and grows.all())
-
 
 def calibrate_camera(
     views: Sequence[TargetView],
@@ -293,16 +278,15 @@ class _Fitter:
         """Choose a lens model by its predicted projection error over the whole image.
 
         The predicted error combines the uncertainty of the coefficients with the part of the
-        residuals that another model explains. A more complex model is chosen only if it is
-        invertible over the whole image and reduces this error enough (``_BETTER``).
+        residuals that another model explains. A more complex model is chosen only if it reduces
+        this error enough (``_BETTER``). Models that fold back inside the image are excluded.
         """
         found: dict[Lens, tuple[float, float]] = {}
         for lens in self.lenses:
             with suppress(CalibrationRefused, np.linalg.LinAlgError):
                 fit = self.fit(views, lens)
-                if fit.invertible():
-                    covariance, misfit = self.uncertainty(views, fit)
-                    found[lens] = misfit, float((_projection(fit, covariance) ** 2).mean())
+                covariance, misfit = self.uncertainty(views, fit)
+                found[lens] = misfit, float((_projection(fit, covariance) ** 2).mean())
         if not found:
             raise CalibrationRefused(
                 "no lens model fits these views: add views with the target tilted by 20 to 40 "

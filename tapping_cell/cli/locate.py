@@ -38,6 +38,7 @@ from tapping_cell.configuration.objects import (
     MarkerSection,
     OutlineSection,
     ShapeSection,
+    height_tolerance_key,
     seen_as,
 )
 from tapping_cell.configuration.schema import (
@@ -77,11 +78,12 @@ class SeenObject:
     outline: OutlineSection | None = section(
         "appearance of an object without a marker", default=None
     )
+    height_tolerance: float = height_tolerance_key()
     name: str = text("display name of the object", default="")
 
     def seen(self) -> ObjectMarker | ObjectOutline:
         """Return the marker or outline for the tracker."""
-        return seen_as(self.shape, self.height, self.marker, self.outline)
+        return seen_as(self.shape, self.height, self.marker, self.outline, self.height_tolerance)
 
     def rim(self) -> NDArray[np.float64]:
         """Return points (N, 2) of the outline in the object's frame, in m."""

@@ -195,6 +195,7 @@ def seen_as(
     height: float,
     marker: MarkerSection | None,
     outline: OutlineSection | None,
+    height_tolerance: float,
 ) -> ObjectMarker | ObjectOutline:
     """Return the feature that the camera detects: the marker or the outline.
 
@@ -209,13 +210,28 @@ def seen_as(
         )
     if marker is not None:
         _check_marker(shape, marker)
-        return ObjectMarker(marker.dictionary, marker.id, marker.size, height, marker.offset)
+        return ObjectMarker(
+            marker.dictionary, marker.id, marker.size, height, marker.offset, height_tolerance
+        )
     assert outline is not None
     dot = None
     if outline.dot is not None:
         spot = outline.dot
         dot = Dot(spot.radius, spot.offset, spot.shade == "brighter")
-    return ObjectOutline(height, outline.shade == "brighter", shape.radius, shape.vertices, dot)
+    brighter = outline.shade == "brighter"
+    return ObjectOutline(height, brighter, shape.radius, shape.vertices, dot, height_tolerance)
+
+
+def height_tolerance_key() -> Any:
+    """Declare the key ``height_tolerance`` of an object."""
+    return quantity(
+        "standard deviation of the height of the top above the table, as an object on a crumb or "
+        "on an uneven table has; included in the covariance of the measured pose",
+        "m",
+        0.0,
+        0.01,
+        default=0.0,
+    )
 
 
 def position_floor_key() -> Any:
@@ -302,6 +318,7 @@ class ObjectFile:
         100.0,
         default=(1.0, 1.0, 1.0),
     )
+    height_tolerance: float = height_tolerance_key()
     smallest_tap: float = quantity(
         "shortest distance by which a tap moves this object reliably",
         "m",
@@ -389,7 +406,7 @@ class ObjectFile:
             ValueError: both or neither of marker and outline are given, or the feature cannot be
             detected.
         """
-        return seen_as(self.shape, self.height, self.marker, self.outline)
+        return seen_as(self.shape, self.height, self.marker, self.outline, self.height_tolerance)
 
 
 def load_object(path: Path | str) -> ObjectFile:

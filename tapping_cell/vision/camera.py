@@ -223,18 +223,30 @@ class CameraModel:
 
     def _check_fold(self) -> None:
         """Raise CameraError if the lens model folds back inside the image, so that some pixels
-        there have no direction or two directions."""
+        there have no direction or two directions.
+
+        On the way from the centre to the rim of the image, the position in the image must advance
+        with every step of the direction (positive Jacobian).
+        """
         along = np.linspace(0.0, 1.0, 9)
         rim = np.concatenate([[(s, 0.0), (s, 1.0), (0.0, s), (1.0, s)] for s in along])
         rim *= [self.width - 1, self.height - 1]
-        lost = np.isnan(self.rays(rim)).any(axis=1)
+        rays = self.rays(rim)
+        # Two per cent beyond the rim: at the fold itself, the directions are already useless.
+        way = np.linspace(0.0, 1.02, 52)[:, None, None] * rays
+        flat = np.column_stack([way.reshape(-1, 2), np.ones(way.size // 2)])
+        zero = np.zeros(3)
+        _, slopes = cv2.projectPoints(flat, zero, zero, self.matrix, self.coefficients)
+        with np.errstate(invalid="ignore"):
+            turned = np.linalg.det(np.asarray(slopes, dtype=float)[:, 3:5].reshape(-1, 2, 2))
+        lost = ~(turned.reshape(way.shape[:2]) > 0.0).all(axis=0)
         if lost.any():
             x, y = rim[lost][0]
             raise CameraError(
                 f"the lens model with the coefficients {self.distortion} maps no viewing direction "
-                f"to the pixel ({x:.0f}, {y:.0f}), because it folds back inside the image; "
-                "calibrate again with views of the target in the corners of the image, or with "
-                "--model rational_polynomial"
+                f"to the pixel ({x:.0f}, {y:.0f}) or several, because it folds back inside the "
+                "image; calibrate again with views of the target in the corners of the image, or "
+                "with --model rational_polynomial"
             )
 
     def check_image(self, image: NDArray[np.generic]) -> str | None:

@@ -20,7 +20,7 @@ from tapping_cell.vision.markers.edges import MarkerEdges
 from tapping_cell.vision.markers.search import Detections
 from tapping_cell.vision.observation import Observation, Problem
 from tapping_cell.vision.rest_detection import Motion, RestSettings, Track
-from tapping_cell.vision.table.tracker import CROSS, TableTracker, pose_changes
+from tapping_cell.vision.table.tracker import TableTracker, pose_changes
 
 Failure = tuple[Problem, str]
 """Reason for a missing pose, and the sentence that explains it."""
@@ -78,8 +78,10 @@ class Search:
 
 
 class ObjectFollower(ABC):
-    """Follows one object whose visible face is at ``height`` (m) above the table.
+    """Follows one object whose visible face is at ``height`` (m) above the table, with the standard
+    deviation ``height_tolerance``.
 
+    ``reach`` is the root mean square distance (m) of the face's rim from its centre.
     ``wants_search`` requests a search of the whole next frame.
     """
 
@@ -89,8 +91,12 @@ class ObjectFollower(ABC):
     """Fraction of the variance of a frame's pose that averaging over more frames does not
     reduce."""
 
-    def __init__(self, height: float, rest: RestSettings) -> None:
+    def __init__(
+        self, height: float, height_tolerance: float, reach: float, rest: RestSettings
+    ) -> None:
         self.height = height
+        self.height_tolerance = height_tolerance
+        self.reach = reach
         self.wants_search = True
         self.failure: Failure | None = None
         self.track = Track(rest)
@@ -211,7 +217,11 @@ class ObjectFollower(ABC):
             stamp=frame.stamp,
             visible=True,
             pose=Pose(*pose.tolist()),
-            covariance=spread + shared + extra + np.outer(instant, instant),
+            covariance=spread
+            + shared
+            + extra
+            + self._lifted(frame.newest, pose)
+            + np.outer(instant, instant),
             at_rest=motion.rest_since is not None,
             at_rest_since=motion.rest_since,
             frames_fused=motion.frames,
@@ -222,12 +232,28 @@ class ObjectFollower(ABC):
 
     def _through_newest(self, frame: Frame, pose: Array) -> Array:
         """Convert a pose measured in the working view to the newest view of the table."""
-        points = transform_points(pose, CROSS)
+        points = self._cross(pose)
         seen = frame.working.pose.apply(at_height(points, self.height))
         newest = frame.newest.rays_on_plane(seen[:, :2] / seen[:, 2:], self.height)
         moved = pose + pose_changes(points, newest - points)
         moved[2] = wrap_angle(moved[2])
         return moved
+
+    def _lifted(self, view: View, pose: Array) -> Array:
+        """Covariance (3, 3) of the pose due to the uncertain height of the visible face, which
+        displaces the pose away from the point below the camera."""
+        away = pose - np.append(view.pose.position[:2], pose[2])
+        away *= self.height_tolerance / (view.pose.position[2] - self.height)
+        return np.outer(away, away)
+
+    def _cross(self, pose: Array) -> Array:
+        """Points (4, 2) that represent the visible face at a pose.
+
+        If the image is shifted, rotated or sheared, a pose fitted to these points changes as much
+        as a pose fitted to the whole rim, also if the shift varies quadratically over the face.
+        """
+        cross = self.reach * np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
+        return np.asarray(transform_points(pose, cross))
 
     def _calibration(self, table: TableTracker, pose: Array, again: float) -> tuple[Array, Array]:
         """Return the expected error (3,) that is common to all frames and due to table and lens,
@@ -235,7 +261,7 @@ class ObjectFollower(ABC):
         key = table.field_number
         known = self._judged
         if known is None or known[0] != key or np.abs(known[1] - pose)[:2].max() > again:
-            known = (key, pose, *table.judge(pose, self.height))
+            known = (key, pose, *table.judge(self._cross(pose), self.height))
             self._judged = known
         return known[2], known[3]
 

@@ -154,7 +154,8 @@ class ObjectMarker:
     """The marker on an object's top: its pose on the object and its height above the table.
 
     ``size`` is the side of the black square in m, ``offset`` the marker's pose in the object's
-    frame (m, m, rad), and ``height`` the height of the printed face above the table in m.
+    frame (m, m, rad), and ``height`` the height of the printed face above the table in m, with the
+    standard deviation ``height_tolerance``.
     """
 
     dictionary: str
@@ -162,6 +163,7 @@ class ObjectMarker:
     size: float
     height: float
     offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    height_tolerance: float = 0.0
 
     def __post_init__(self) -> None:
         """Raise MarkerError, with the value, if the marker cannot exist."""

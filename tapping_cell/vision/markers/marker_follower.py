@@ -42,7 +42,7 @@ class MarkerFollower(ObjectFollower):
         size_tolerance: float,
         other_ids: frozenset[int],
     ) -> None:
-        super().__init__(marker.height, rest)
+        super().__init__(marker.height, marker.height_tolerance, marker.size / math.sqrt(3.0), rest)
         self.marker = marker
         self.dictionary = marker.dictionary
         self._size_tolerance = size_tolerance
@@ -50,6 +50,7 @@ class MarkerFollower(ObjectFollower):
         self._pattern = marker_pattern(marker.dictionary, marker.id)
         self._warnings = ShapeWarnings(marker)
         self._shape: ShapeDeviation | None = None
+        self._sides: Array = np.zeros((3, 3))
         self._searched_at = -math.inf
         self._detected: Array | None = None
 
@@ -97,7 +98,11 @@ class MarkerFollower(ObjectFollower):
             return self.failure
         edges = frame.aimed if frame.aimed is not None else self._nearby(frame)
         self.wants_search |= edges is None
-        fit = None if edges is None else fit_marker(frame.working, edges, 0, self.marker)
+        fit = (
+            None
+            if edges is None
+            else fit_marker(frame.working, edges, 0, self.marker, frame.table.side_error)
+        )
         if edges is None or fit is None:
             self.stop(frame.stamp)
             # The diagnosis of the last search remains valid until the next search.
@@ -113,13 +118,15 @@ class MarkerFollower(ObjectFollower):
             self.track.clear()
             return Problem.MISSHAPEN_MARKER, self._warnings.refusal(shape, limit)
         self._shape, self.failure = shape, None
+        self._sides = object_pose(fit.pose, fit.sides, self.marker)[1]
         return object_pose(fit.pose, fit.covariance, self.marker)
 
     def extra_uncertainty(self, frame: Frame) -> tuple[Array, str]:
-        """Return the uncertainty of the pose due to the marker's shape, and a warning."""
+        """Return the uncertainty of the pose due to the marker's sides and its shape, and a
+        warning."""
         assert self._shape is not None
         sentence = self._warnings.sentence(self._shape, frame.table.camera_height)
-        return self._shape.covariance, sentence
+        return self._shape.covariance + self._sides, sentence
 
     def _nearby(self, frame: Frame) -> MarkerEdges | None:
         """Search around the marker's predicted position and return its edges."""

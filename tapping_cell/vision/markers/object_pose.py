@@ -14,11 +14,13 @@ from tapping_cell.vision.markers.edges import MarkerEdges
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseFit:
-    """Pose (x, y, theta) of the *marker* in ``table``, its covariance (3, 3) from pixel noise, and
-    the apparent side of the marker (m)."""
+    """Pose (x, y, theta) of the *marker* in ``table``, its covariance (3, 3) from pixel noise, the
+    covariance ``sides`` (3, 3) from errors of the sides that are common to all frames, and the
+    apparent side of the marker (m)."""
 
     pose: Array
     covariance: Array
+    sides: Array
     size: float
 
 
@@ -34,14 +36,21 @@ _FREE, _USUAL_FREE = 4.0, 8.0
 """``_FREE``: degrees of freedom of the residuals when a square is fitted to four sides.
 ``_USUAL_FREE``: degrees of freedom of the prior for the usual size of these residuals."""
 
+_SIDES_TURN = 0.33
+"""Ratio of the angle error due to deviating sides to that of independent errors along the sides
+(measured on photographs of boards): a side is mostly displaced as a whole, which does not rotate
+the square."""
 _NOISY_OBLONG = 9.0
 """Squared difference of length and width, in variances of its noise, that is taken for noise."""
 
 
-def fit_marker(view: View, edges: MarkerEdges, row: int, marker: ObjectMarker) -> PoseFit | None:
+def fit_marker(
+    view: View, edges: MarkerEdges, row: int, marker: ObjectMarker, side_error: float = 0.0
+) -> PoseFit | None:
     """Fit a square of known side, at the marker's height, to marker ``row`` of ``edges``.
 
-    Returns None if the edges are not valid.
+    ``side_error`` is the standard deviation, in pixels, by which the sides of the reference markers
+    deviate from squares in excess of their noise. Returns None if the edges are not valid.
     """
     if not edges.good[row]:
         return None
@@ -77,15 +86,19 @@ def fit_marker(view: View, edges: MarkerEdges, row: int, marker: ObjectMarker) -
     total = np.maximum(weights.sum(axis=1), 1e-9)
     sides = (weights * left).sum(axis=1) / total
     # An object that lies along a side displaces this side, and the square by half of that.
+    constant = side_error * pixel * float(np.sqrt(total.mean()))
+    usual = float(np.hypot(noise, constant))
     oblong = float(sides[0] - sides[1] + sides[2] - sides[3]) ** 2
-    displaced = 0.25 * max(oblong - _NOISY_OBLONG * noise**2 * float((1.0 / total).sum()), 0.0)
-    noise *= _misfit(left, weights, noise)
+    displaced = 0.25 * max(oblong - _NOISY_OBLONG * usual**2 * float((1.0 / total).sum()), 0.0)
+    misfit = _misfit(left, weights, usual)
     pull = min(max(float(edges.pull[row]) - _CLEAN, 0.0), 0.99)
     smeared = _SMEARED * pixel * pull / (1.0 - pull)
-    covariance = inverse[:3, :3] * noise**2
+    covariance = inverse[:3, :3] * (misfit * noise) ** 2
     extra = smeared**2 + displaced
     covariance += np.diag([extra, extra, extra / marker.size**2])
-    return PoseFit(pose, covariance, float(size))
+    turned = np.array([1.0, 1.0, _SIDES_TURN])
+    common = inverse[:3, :3] * (misfit * constant) ** 2 * np.outer(turned, turned)
+    return PoseFit(pose, covariance, common, float(size))
 
 
 def _metres(pixels: Array, seen: Array) -> Array:

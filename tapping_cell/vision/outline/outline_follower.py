@@ -37,7 +37,9 @@ class OutlineFollower(ObjectFollower):
     """Follows the outline of one object on a table with the reference markers ``table``."""
 
     def __init__(self, outline: ObjectOutline, table: ReferenceMap, rest: RestSettings) -> None:
-        super().__init__(outline.height, replace(rest, longest=max(rest.longest, _LONGEST_WINDOW)))
+        reach = math.sqrt(outline.area / math.pi)
+        patient = replace(rest, longest=max(rest.longest, _LONGEST_WINDOW))
+        super().__init__(outline.height, outline.height_tolerance, reach, patient)
         self._shape = outline
         self._references = table.corners()
         self._blur = USUAL_BLUR

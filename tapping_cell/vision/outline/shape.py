@@ -57,8 +57,8 @@ class ObjectOutline:
     """Visible outline of an object without a marker.
 
     It is a disk of ``radius`` or a convex polygon of ``vertices`` (counter-clockwise) in m. Its top
-    is ``height`` m above the table. ``brighter`` is True if the top is brighter than the table,
-    False if it is darker.
+    is ``height`` m above the table, with the standard deviation ``height_tolerance``. ``brighter``
+    is True if the top is brighter than the table, False if it is darker.
     """
 
     height: float
@@ -66,6 +66,7 @@ class ObjectOutline:
     radius: float | None = None
     vertices: tuple[tuple[float, float], ...] | None = None
     dot: Dot | None = None
+    height_tolerance: float = 0.0
 
     def __post_init__(self) -> None:
         """Raise OutlineError, with the value and a remedy, if the outline cannot be detected."""

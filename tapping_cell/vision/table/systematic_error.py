@@ -12,12 +12,13 @@ amplitudes as weight, so that the ambiguity left by few references increases the
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from scipy.linalg import block_diag
 
-from tapping_cell.vision.camera import Array, CameraModel, View
+from tapping_cell.vision.camera import Array, CameraModel, View, at_height
 
 _FOCAL, _ASPECT = 0.85, 0.35
 _LENS = 0.7, 0.7, 0.0015, 0.004, 0.00012, 0.00012
@@ -53,6 +54,8 @@ grid."""
 _STATED = 1.0, 0.5
 """Typical amplitude of the lens errors in units of the deviations stated by the calibration, and
 its logarithmic standard deviation. A lens with stated deviations is never assumed to be exact."""
+_STATED_EXACT = 0.3
+"""Prior probability that the print is exact if the calibration states deviations."""
 _LEFT_OUT = 1e-3
 """Total probability of the unlikely combinations of amplitudes that may be dropped. This limit is
 low, because many unlikely combinations matter together, even if each of them is only a fiftieth as
@@ -64,7 +67,8 @@ class SystematicError:
     """The error model conditioned on the references; see :func:`condition`.
 
     It consists of K combinations of amplitudes: their weights (K,), the squared amplitudes
-    ``power`` (K,) of the lens error, and matrices that do not depend on the pose to be corrected.
+    ``power`` (K,) of the lens error, the mean variance ``own`` (m^2) of a marker's misplacement,
+    and matrices that do not depend on the pose to be corrected.
     """
 
     lens: Array
@@ -76,6 +80,7 @@ class SystematicError:
     inverse: Array
     dragged: Array
     steps: Array
+    own: float
 
     def at(self, response: Array, lens: Array) -> tuple[Array, Array]:
         """Expected error (3,) of a pose measured at a place, and covariance (3, 3) of the remaining
@@ -83,20 +88,22 @@ class SystematicError:
 
         ``response`` (3, 6) is the derivative of this pose with respect to the camera's pose, and
         ``lens`` (3, 8) its derivative with respect to the lens parameters (:func:`lens_shifts`).
-        The covariance includes the noise of the reference markers, but not the noise of the
-        object's marker.
+        The object's marker is assumed to be misplaced in the image as much as a reference marker,
+        by print, by lens errors nearby or by blur. The covariance includes this misplacement and
+        the noise of the reference markers, but not the noise of the object's marker.
         """
-        own, cross = lens @ lens.T, lens @ self.lens.T
+        same, cross = lens @ lens.T, lens @ self.lens.T
         pulled = cross @ self.gain.T @ response.T
         power = self.power[:, None, None]
         to_data = power * (cross @ self.basis) - response @ self.dragged
-        prior = power * (own - pulled - pulled.T) + response @ self.steps @ response.T
+        prior = power * (same - pulled - pulled.T) + response @ self.steps @ response.T
         answer = to_data @ self.inverse
         error = answer @ self.data
         left = prior - answer @ to_data.transpose(0, 2, 1)
         mean = self.weight @ error
         apart = error - mean
-        return mean, np.tensordot(self.weight, left, 1) + (self.weight * apart.T) @ apart
+        spread = np.tensordot(self.weight, left, 1) + (self.weight * apart.T) @ apart
+        return mean, spread + self.own * np.diag([1.0, 1.0, 0.0])
 
 
 def condition(
@@ -148,6 +155,7 @@ def condition(
         inverse=np.linalg.inv(total[kept]),
         dragged=moved @ basis,
         steps=moved @ gain.T,
+        own=float(weight[kept] @ p[kept] / weight[kept].sum()),
     )
 
 
@@ -161,7 +169,7 @@ def _prior(field: Array, print_: Array, stated: bool) -> Array:
         usually.append(density / density.sum())
         least = power == power.min()
         exactly.append(least / least.sum())
-    both, lens, sheet = (0.0, 0.0, _EXACT[0] + _EXACT[2]) if stated else _EXACT
+    both, lens, sheet = (0.0, 0.0, _STATED_EXACT) if stated else _EXACT
     count = len(field)
     return np.asarray(
         count
@@ -210,29 +218,23 @@ def lens_shifts(view: View, points: Array, height: float) -> tuple[Array, Array]
     deviation.
     """
     camera = view.camera
-    rays = camera.rays(view.project(points, height))
-    shifts = [
-        camera.rays(View(true, view.pose).project(points, height)) - rays
-        for true in _other_lenses(camera)
-    ]
-    return rays, np.stack(shifts, axis=-1)
+    seen = view.pose.apply(at_height(points, height))
+    rays = seen[..., :2] / seen[..., 2:]
+    flat = np.column_stack([rays.reshape(-1, 2), np.ones(rays.size // 2)])
+    zero = np.zeros(3)
+    _, jacobian = cv2.projectPoints(flat, zero, zero, camera.matrix, camera.coefficients)
+    slopes: Array = np.asarray(jacobian, dtype=float).reshape(len(flat), 2, -1)
+    # Columns 3 and 4 are the derivatives of the pixels with respect to the direction, columns 6 to
+    # 13 those with respect to fx, fy, cx, cy, k1, k2, p1 and p2.
+    shifts = np.linalg.solve(slopes[..., 3:5], slopes[..., 6:14] @ _lens_errors(camera))
+    return rays, np.asarray(shifts, dtype=float).reshape(*rays.shape, 8)
 
 
-def _other_lenses(camera: CameraModel) -> list[CameraModel]:
-    """Return eight cameras. In each camera, a different lens parameter is changed by its standard
-    deviation (stated by the calibration, otherwise typical)."""
-    focal, aspect, rest = _FOCAL, _ASPECT, list(_LENS)
+def _lens_errors(camera: CameraModel) -> Array:
+    """Return a matrix (8, 8): each column is an independent error of fx, fy, cx, cy, k1, k2, p1 and
+    p2 by one standard deviation (stated by the calibration, otherwise typical)."""
+    focal, aspect, rest = _FOCAL, _ASPECT, np.array(_LENS)
     if camera.deviations:
         focal = float(np.sqrt(np.mean(np.square(camera.deviations[:2]))))
-        aspect, rest = _STATED_ASPECT * focal, list(camera.deviations[2:])
-    others = [
-        replace(camera, fx=camera.fx + focal, fy=camera.fy + focal),
-        replace(camera, fx=camera.fx + aspect, fy=camera.fy - aspect),
-        replace(camera, cx=camera.cx + rest[0]),
-        replace(camera, cy=camera.cy + rest[1]),
-    ]
-    for index, deviation in enumerate(rest[2:]):
-        coefficients = camera.coefficients.tolist()
-        coefficients[index] += deviation
-        others.append(replace(camera, distortion=tuple(coefficients)))
-    return others
+        aspect, rest = _STATED_ASPECT * focal, np.array(camera.deviations[2:])
+    return np.asarray(block_diag([[focal, aspect], [focal, -aspect]], np.diag(rest)))

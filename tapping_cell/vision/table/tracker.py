@@ -13,10 +13,9 @@ from __future__ import annotations
 import enum
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
-from tapping_cell.se2 import transform_points
 from tapping_cell.vision.camera import Array, CameraModel, CameraPose, View, at_height
 from tapping_cell.vision.markers.detection import ReferenceMap
 from tapping_cell.vision.markers.edges import MarkerEdges
@@ -72,6 +71,7 @@ class TableTracker:
         self.displaced: tuple[int, ...] = ()
         self.error = 0.0
         self.bloom = 0.0
+        self.side_error = 0.0
         self.apart = False
         self._before: tuple[float, float] | None = None
         self.move = 0.0
@@ -210,7 +210,8 @@ class TableTracker:
             if agreed is not None:
                 pose, used = agreed
                 fit = fit_table(pose, points, rays, noise, self.settings, focal, used)
-        if fit is not None and fit.unsquare > 0.0:
+        unsquare = 0.0 if fit is None else fit.unsquare
+        if fit is not None and unsquare > 0.0:
             noise = np.hypot(noise, fit.unsquare)
             fit = fit_table(fit.pose, points, rays, noise, self.settings, focal, fit.used)
         if fit is None:
@@ -218,6 +219,7 @@ class TableTracker:
         before = self.used
         self.pose, self.covariance = fit.pose, fit.covariance
         self.error, self.bloom = fit.error, fit.bloom * self.camera.fx
+        self.side_error = unsquare * self.camera.fx
         self.used = tuple(int(i) for i in self.ids[have[fit.used]])
         wrong = self._moved_markers.copy()
         wrong[have[~fit.used]] = True
@@ -258,17 +260,15 @@ class TableTracker:
             stated=bool(self.camera.deviations),
         )
 
-    def judge(self, pose: ArrayLike, height: float) -> tuple[Array, Array]:
-        """Systematic error of a pose (x, y, theta) measured at ``height``.
+    def judge(self, points: Array, height: float) -> tuple[Array, Array]:
+        """Systematic error of a pose (x, y, theta) measured at ``height`` from ``points`` (N, 2).
 
         Returns the expected error (3,) and the covariance (3, 3) of the remaining error due to the
         camera's pose, the lens and the printing. The noise of the object's marker is not included.
         """
         assert self.pose is not None and self._field is not None
-        place = np.asarray(pose, dtype=float)
         view = View(self.camera, self.pose)
-        response = -pose_jacobian(view, place, height)
-        points = transform_points(place, CROSS)
+        response = -pose_jacobian(view, points, height)
         rays, shifts = lens_shifts(view, points, height)
         shifted = view.rays_on_plane(np.moveaxis(rays[..., None] + shifts, -1, 0), height)
         lens = pose_changes(points, shifted - points).T
@@ -276,10 +276,10 @@ class TableTracker:
         pixel = float(self.pose.translation[2]) / self.camera.fx
         floor = (_EDGE_BIAS * pixel) ** 2
         covariance = covariance + np.diag([floor, floor, 0.0])
-        return error, covariance + self._stretched(place)
+        return error, covariance + self._stretched(points.mean(axis=0))
 
     def _stretched(self, place: Array) -> Array:
-        """Covariance (3, 3) of a pose due to the errors of a measured map.
+        """Covariance (3, 3) of a pose at ``place`` (2,) due to the errors of a measured map.
 
         If the same camera measured the map, the effects of the lens and of the markers' printed
         size are the same in the map and in this measurement, so the residuals do not show the
@@ -287,7 +287,7 @@ class TableTracker:
         the markers' centre.
         """
         middles = self.points.mean(axis=1)
-        arm = place[:2] - middles.mean(axis=0)
+        arm = place - middles.mean(axis=0)
         square = float(((middles - middles.mean(axis=0)) ** 2).sum(axis=1).mean())
         reach = float(arm @ arm)
         turned = 0.5 * np.array([-arm[1], arm[0]])
@@ -295,12 +295,6 @@ class TableTracker:
             [[reach, 0.0, turned[0]], [0.0, reach, turned[1]], [turned[0], turned[1], 0.5]]
         )
         return np.asarray(spread * self._deviation**2 / square)
-
-
-CROSS = 0.02 * np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
-"""Points (4, 2) in m around an object's centre that represent its marker: if the image is shifted,
-rotated or sheared, a pose fitted to these points changes as much as a pose fitted to all sides of a
-square. Under shear, both poses rotate by the mean rotation of the square's sides."""
 
 
 def pose_changes(points: Array, shifts: Array) -> Array:
@@ -311,13 +305,12 @@ def pose_changes(points: Array, shifts: Array) -> Array:
     return np.concatenate([shifts.mean(axis=-2), (turn / (arm**2).sum())[..., None]], axis=-1)
 
 
-def pose_jacobian(view: View, object_pose: ArrayLike, height: float) -> Array:
+def pose_jacobian(view: View, points: Array, height: float) -> Array:
     """Jacobian (3, 6) of a measured pose (x, y, theta) with respect to the camera's pose.
 
-    The pose is measured at ``height``. The Jacobian is computed by finite differences with steps of
-    1e-6 in rotation (rad) and translation (m).
+    The pose is measured from ``points`` (N, 2) at ``height``. The Jacobian is computed by finite
+    differences with steps of 1e-6 in rotation (rad) and translation (m).
     """
-    points = transform_points(object_pose, CROSS)
     seen = view.pose.apply(at_height(points, height))
     rays = seen[:, :2] / seen[:, 2:]
     shifts = []

@@ -76,6 +76,10 @@ def test_rays_of_a_wide_lens_project_to_their_pixels(half_angle):
 def test_a_lens_that_folds_back_inside_the_image_is_refused():
     with pytest.raises(CameraError, match="pixel \\(0, 0\\).*folds back"):
         CameraModel(1280, 1024, 500.0, 500.0, 639.5, 511.5, (-0.2, 0.0, 0.0, 0.0, 0.0))
+    # This lens folds back and then forth again: the corner of the image has three directions.
+    folded = (-0.638, 0.355, 0.0, 0.0, 0.135, -2.018, 1.956, 0.315)
+    with pytest.raises(CameraError, match="or several"):
+        CameraModel(1280, 1024, 813.0, 813.0, 639.5, 511.5, folded, "rational_polynomial")
     # A smaller image is inside the circle at which this lens folds back, so the lens is accepted.
     # Pixels beyond this circle have no rays.
     small = CameraModel(640, 512, 500.0, 500.0, 319.5, 255.5, (-0.2, 0.0, 0.0, 0.0, 0.0))

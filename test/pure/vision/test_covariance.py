@@ -7,11 +7,12 @@ import dataclasses
 
 import numpy as np
 import pytest
-from scenes import CAMERA, REFERENCES
+from scenes import CAMERA, MARKER, REFERENCES, renderer
 
 from tapping_cell.se2 import transform_points
-from tapping_cell.vision import CameraModel, CameraPose, ReferenceMap, View
+from tapping_cell.vision import CameraModel, CameraPose, PoseTracker, ReferenceMap, View
 from tapping_cell.vision.markers.edges import BINS, MarkerEdges
+from tapping_cell.vision.table.systematic_error import lens_shifts
 from tapping_cell.vision.table.tracker import TableState, TableTracker
 
 ROW = 0.05
@@ -93,7 +94,9 @@ def test_the_normalised_error_follows_chi_square(lens, misprint):
         arm = points - points.mean(axis=0)
         turn = (arm[:, 0] * shift[:, 1] - arm[:, 1] * shift[:, 0]).sum() / (arm**2).sum()
         error = np.array([*shift.mean(axis=0), turn])
-        likely, covariance = tracker.judge(true + error, HEIGHT)
+        # The object's marker is misplaced as much as the reference markers.
+        error[:2] += misprint * random.standard_normal(2)
+        likely, covariance = tracker.judge(transform_points(true + error, arms), HEIGHT)
         error -= likely
         normalised.append(error @ np.linalg.solve(covariance, error))
     # The bound is three standard deviations of the mean of chi-square values with 3 degrees of
@@ -102,18 +105,61 @@ def test_the_normalised_error_follows_chi_square(lens, misprint):
     assert np.mean(np.array(normalised) < 7.815) > 0.85
 
 
+def test_a_cell_of_a_tenth_of_the_size_is_measured_alike():
+    """The same image with files scaled by 0.1 must give the same pose, scaled by 0.1."""
+    pose = np.array([0.21, -0.12, 0.4])
+    image = renderer().render(pose)
+    camera = erroneous_camera(np.random.default_rng(3), 3.0)
+    found = []
+    for scale in (1.0, 0.1):
+        markers = tuple(
+            dataclasses.replace(m, x=scale * m.x, y=scale * m.y, size=scale * m.size)
+            for m in REFERENCES.markers
+        )
+        marker = dataclasses.replace(MARKER, size=scale * MARKER.size, height=scale * MARKER.height)
+        tracker = PoseTracker(camera, ReferenceMap(REFERENCES.dictionary, markers), marker)
+        seen = tracker.update(image, 0.0)
+        assert seen.pose is not None
+        found.append(np.array([seen.pose.x / scale, seen.pose.y / scale, seen.pose.theta]))
+    assert np.abs(found[1] - found[0])[:2].max() < 5e-6
+    assert abs(found[1][2] - found[0][2]) < 5e-5
+
+
+def test_the_effects_of_lens_errors_are_those_of_changed_lenses():
+    """Compare the changes of direction with those of cameras whose lenses differ slightly. They are
+    finite even for a point beyond the circle at which the lens model folds back."""
+    view = View(dataclasses.replace(CAMERA, deviations=(1.0,) * 8), CameraPose.above((0, 0, 0.7)))
+    random = np.random.default_rng(6)
+    points, step = random.uniform([-0.3, -0.2], [0.3, 0.2], (20, 2)), 1e-6
+    rays, shifts = lens_shifts(view, points, HEIGHT)
+    changed = dataclasses.replace(CAMERA, cx=CAMERA.cx + step)
+    assert shifts[..., 2] * step == pytest.approx(
+        CAMERA.rays(View(changed, view.pose).project(points, HEIGHT)) - rays, abs=1e-12
+    )
+    k1, *others = CAMERA.distortion
+    changed = dataclasses.replace(CAMERA, distortion=(k1 + step, *others))
+    assert shifts[..., 4] * step == pytest.approx(
+        CAMERA.rays(View(changed, view.pose).project(points, HEIGHT)) - rays, abs=1e-10
+    )
+    folding = CameraModel(640, 512, 500.0, 500.0, 319.5, 255.5, (-0.2, 0.0, 0.0, 0.0, 0.0))
+    far = np.array([[1.05, 0.9]])
+    assert np.isnan(folding.rays([-320.0, -256.0])).all()
+    assert np.isfinite(lens_shifts(View(folding, view.pose), far, 0.0)[1]).all()
+
+
 def test_a_measured_map_may_be_scaled_and_rotated_as_a_whole():
     """If the map was measured with a given deviation, the covariance of a pose must include the
     effect of a linear deformation of the whole map. The expected covariance is that of the errors
     of many randomly deformed maps."""
-    deviation, place = 3e-5, np.array([0.2, -0.1, 0.7])
+    deviation, place = 3e-5, np.array([0.2, -0.1])
+    points = place + 0.02 * np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
     judged = []
     for references in (REFERENCES, dataclasses.replace(REFERENCES, deviation=deviation)):
         random = np.random.default_rng(4)
         view = View(CAMERA, CameraPose.above((0.01, 0.02, 0.7)))
         tracker = TableTracker(CAMERA, references)
         tracker.update(noisy_edges(view, random), np.arange(len(REFERENCES.markers)))
-        judged.append(tracker.judge(place, HEIGHT)[1])
+        judged.append(tracker.judge(points, HEIGHT)[1])
     middles = REFERENCES.corners().mean(axis=1)
     middle = middles.mean(axis=0)
     random = np.random.default_rng(5)
@@ -123,7 +169,7 @@ def test_a_measured_map_may_be_scaled_and_rotated_as_a_whole():
     moved = np.einsum("kij,mj->kmi", deformed, middles - middle)
     deformed *= deviation / np.sqrt((moved**2).mean())
     turn = 0.5 * (deformed[:, 1, 0] - deformed[:, 0, 1])
-    errors = np.column_stack([deformed @ (place[:2] - middle), turn])
+    errors = np.column_stack([deformed @ (place - middle), turn])
     expected = errors.T @ errors / len(errors)
     scale = np.sqrt(np.diag(expected))
     gap = (judged[1] - judged[0] - expected) / np.outer(scale, scale)

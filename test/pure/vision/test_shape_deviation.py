@@ -4,11 +4,23 @@ are exact squares in space that are projected point by point."""
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from scenes import CAMERA as SCENE_CAMERA
+from scenes import MARKER as SCENE_MARKER
+from scenes import REFERENCES as SCENE_REFERENCES
+from scenes import renderer
 
-from tapping_cell.vision import CameraModel, CameraPose, ObjectMarker, ReferenceMap, View
+from tapping_cell.vision import (
+    CameraModel,
+    CameraPose,
+    ObjectMarker,
+    PoseTracker,
+    ReferenceMap,
+    View,
+)
 from tapping_cell.vision.markers.detection import UNIT_CORNERS, ReferenceMarker
 from tapping_cell.vision.markers.edges import BINS, MarkerEdges
 from tapping_cell.vision.markers.object_pose import fit_marker, object_pose
@@ -81,6 +93,26 @@ def test_a_lifted_or_tilted_object_is_flagged_and_its_covariance_covers_the_erro
         sigma = np.sqrt(np.diag(shape.covariance))
         assert np.hypot(error[0], error[1]) < 3.0 * np.hypot(sigma[0], sigma[1]) + 3e-4
         assert abs(error[2]) < 3.0 * sigma[2] + 2e-3
+
+
+def test_the_height_tolerance_covers_a_small_lift():
+    """Measure an object that is half a millimetre lower than its file states, with and without a
+    tolerance of this size."""
+    pose, lift = np.array([0.21, -0.12, 0.4]), 0.0005
+    image, covariances = renderer().render(pose), []
+    for tolerance in (0.0, lift):
+        lifted = replace(SCENE_MARKER, height=SCENE_MARKER.height - lift)
+        marker = replace(lifted, height_tolerance=tolerance)
+        seen = PoseTracker(SCENE_CAMERA, SCENE_REFERENCES, marker).update(image, 0.0)
+        assert seen.pose is not None and seen.covariance is not None
+        error = np.array([*seen.pose]) - pose
+        covariances.append(seen.covariance)
+    added = covariances[1] - covariances[0]
+    assert not added[2].any() and not added[:, 2].any()
+    # The added standard deviation is the error, in its direction.
+    assert added[:2, :2] == pytest.approx(np.outer(error[:2], error[:2]), rel=0.15)
+    assert error @ np.linalg.solve(covariances[0], error) > 100.0
+    assert error @ np.linalg.solve(covariances[1], error) < 5.0
 
 
 def test_a_flat_object_is_not_flagged():
