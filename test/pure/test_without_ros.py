@@ -1,0 +1,107 @@
+"""The wheel of `pip install .`: the library and its verbs run without ROS and without devices."""
+
+import os
+import shutil
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+LARGEST_WHEEL = 5_000_000  # bytes
+BLOCK = """
+import sys
+
+class Blocked:
+    def find_spec(self, name, path=None, target=None):
+        top = name.split(".")[0]
+        if top in {"rclpy", "launch", "serial", "tornado"} or top.startswith("ament_") or (
+            top.endswith(("_msgs", "_srvs", "_interfaces"))
+        ):
+            raise ImportError(f"{name} is not installed", name=name)
+
+sys.meta_path.insert(0, Blocked())
+"""
+"""A start-up file that hides ROS and every library that the wheel does not require."""
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    """Build the wheel as pip does, and unpack it into a folder without the source tree."""
+    source, site = tmp_path_factory.mktemp("source"), tmp_path_factory.mktemp("site")
+    for name in ("setup.py", "setup.cfg", "pyproject.toml", "package.xml", "LICENSE"):
+        shutil.copy(ROOT / name, source)
+    for name in ("tapping_cell", "config", "launch", "msg_defs", "resource"):
+        shutil.copytree(ROOT / name, source / name, ignore=shutil.ignore_patterns("__pycache__"))
+    build = "import sys; from setuptools import build_meta; build_meta.build_wheel(sys.argv[1])"
+    environment = {**os.environ, "AMENT_PREFIX_PATH": ""}
+    subprocess.run(
+        [sys.executable, "-c", build, str(site)],
+        cwd=source,
+        env=environment,
+        capture_output=True,
+        check=True,
+    )
+    (wheel,) = site.glob("*.whl")
+    assert wheel.stat().st_size < LARGEST_WHEEL
+    with zipfile.ZipFile(wheel) as content:
+        content.extractall(site)
+    (site / "sitecustomize.py").write_text(BLOCK, encoding="utf-8")
+    return site
+
+
+def run(site, folder, *words):
+    environment = {
+        **os.environ,
+        "PYTHONPATH": str(site),
+        "AMENT_PREFIX_PATH": "",
+        "XDG_CACHE_HOME": str(folder / "cache"),
+    }
+    return subprocess.run(
+        [sys.executable, *words], cwd=folder, env=environment, capture_output=True, text=True
+    )
+
+
+CALCULATE = """
+import tapping_cell
+from tapping_cell.configuration.assembly import make_session
+from tapping_cell.configuration.cell import load_cell
+from tapping_cell.planning import Strike
+from tapping_cell.report.error_codes import hint
+from tapping_cell.simulation.tap_trials import SimulatedTable
+
+cell = load_cell()
+table = SimulatedTable(cell)
+session = make_session(cell, goal=(0.0, 0.03, 0.1), planner="exact")
+for decision in session.decisions(table.observe):
+    if isinstance(decision, Strike):
+        table.tap(decision.plan.strike_pose, decision.plan.striker_speed)
+print(tapping_cell.__file__, type(decision).__name__, bool(hint(101)))
+"""
+
+
+def test_the_library_runs_a_simulated_goal(site, tmp_path):
+    done = run(site, tmp_path, "-c", CALCULATE)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split() == [str(site / "tapping_cell" / "__init__.py"), "Done", "True"]
+
+
+def test_evaluate_paper_and_fit_run(site, tmp_path):
+    cell = ("-m", "tapping_cell")
+    words = ("--planner", "exact", "--trials", "50", "--processes", "2")
+    for model in ((), ("--model", "physics"), ("--model", "world", "--trials", "4")):
+        done = run(site, tmp_path, *cell, "evaluate", *words, *model)
+        assert done.returncode == 0 and "truly inside" in done.stdout, done.stderr
+    done = run(site, tmp_path, *cell, "paper", "--trials", "3", "--report", "paper")
+    assert done.returncode == 0 and (tmp_path / "paper" / "paper.html").is_file(), done.stderr
+    records = tmp_path / "paper" / "aluminium_disk"
+    done = run(site, tmp_path, *cell, "fit", str(records))
+    assert done.returncode == 0 and "torque factor" in done.stdout, done.stderr
+
+
+def test_a_verb_that_needs_ros_says_so(site, tmp_path):
+    done = run(site, tmp_path, "-m", "tapping_cell", "demo")
+    assert done.returncode == 2
+    assert "cannot import" in done.stderr and "Traceback" not in done.stderr
