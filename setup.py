@@ -21,17 +21,16 @@ class EggInfo(egg_info):  # type: ignore[misc]
 
     def run(self) -> None:
         """Refuse to build nodes that could not run."""
-        if PIP:
-            return super().run()
         prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
-        if not any(Path(prefix, "share", f"{NAME}_msgs").is_dir() for prefix in prefixes if prefix):
+        built = any(Path(prefix, "share", f"{NAME}_msgs").is_dir() for prefix in prefixes if prefix)
+        if not built and not PIP:
             here = Path(__file__).resolve().parent
             sys.exit(
                 f"{NAME}_msgs is not built, and colcon does not look for it inside this package by "
                 f"itself. Name both folders:\n\n"
                 f"    colcon build --base-paths {here} {here}/msg_defs\n"
             )
-        return super().run()
+        super().run()
 
 
 def data_files(*folders: str) -> Iterator[tuple[str, list[str]]]:
