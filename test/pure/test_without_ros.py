@@ -8,23 +8,11 @@ import zipfile
 from pathlib import Path
 
 import pytest
+import single_tap_records
+from without_ros import run
 
 ROOT = Path(__file__).resolve().parents[2]
 LARGEST_WHEEL = 5_000_000  # bytes
-BLOCK = """
-import sys
-
-class Blocked:
-    def find_spec(self, name, path=None, target=None):
-        top = name.split(".")[0]
-        if top in {"rclpy", "launch", "serial", "tornado"} or top.startswith("ament_") or (
-            top.endswith(("_msgs", "_srvs", "_interfaces"))
-        ):
-            raise ImportError(f"{name} is not installed", name=name)
-
-sys.meta_path.insert(0, Blocked())
-"""
-"""A start-up file that hides ROS and every library that the wheel does not require."""
 
 
 @pytest.fixture(scope="module")
@@ -48,20 +36,7 @@ def site(tmp_path_factory):
     assert wheel.stat().st_size < LARGEST_WHEEL
     with zipfile.ZipFile(wheel) as content:
         content.extractall(site)
-    (site / "sitecustomize.py").write_text(BLOCK, encoding="utf-8")
     return site
-
-
-def run(site, folder, *words):
-    environment = {
-        **os.environ,
-        "PYTHONPATH": str(site),
-        "AMENT_PREFIX_PATH": "",
-        "XDG_CACHE_HOME": str(folder / "cache"),
-    }
-    return subprocess.run(
-        [sys.executable, *words], cwd=folder, env=environment, capture_output=True, text=True
-    )
 
 
 CALCULATE = """
@@ -88,15 +63,13 @@ def test_the_library_runs_a_simulated_goal(site, tmp_path):
     assert done.stdout.split() == [str(site / "tapping_cell" / "__init__.py"), "Done", "True"]
 
 
-def test_evaluate_paper_and_fit_run(site, tmp_path):
+def test_evaluate_and_fit_run(site, tmp_path):
+    """``paper`` runs in the same way in test_paper.py."""
     cell = ("-m", "tapping_cell")
-    words = ("--planner", "exact", "--trials", "50", "--processes", "2")
-    for model in ((), ("--model", "physics"), ("--model", "world", "--trials", "4")):
-        done = run(site, tmp_path, *cell, "evaluate", *words, *model)
-        assert done.returncode == 0 and "truly inside" in done.stdout, done.stderr
-    done = run(site, tmp_path, *cell, "paper", "--trials", "3", "--report", "paper")
-    assert done.returncode == 0 and (tmp_path / "paper" / "paper.html").is_file(), done.stderr
-    records = tmp_path / "paper" / "aluminium_disk"
+    words = ("--planner", "exact", "--processes", "2", "--model", "world", "--trials", "4")
+    done = run(site, tmp_path, *cell, "evaluate", *words)
+    assert done.returncode == 0 and "truly inside" in done.stdout, done.stderr
+    records = single_tap_records.write(tmp_path / "records", single_tap_records.taps())
     done = run(site, tmp_path, *cell, "fit", str(records))
     assert done.returncode == 0 and "torque factor" in done.stdout, done.stderr
 
