@@ -56,7 +56,7 @@ LIBRARIES = [  # without ROS; package.xml lists those of the cell
     "jinja2>=3.0",
     "matplotlib>=3.6",
     "numpy>=1.26",
-    "opencv-python-headless>=4.6",
+    "opencv-python-headless>=4.6,<5",  # 5 has no undistortPointsIter
     "pillow",
     "PyYAML>=6",
     "rich>=13.7",

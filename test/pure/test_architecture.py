@@ -80,6 +80,7 @@ HOMES = {
     "tornado": {"nodes"},
     "argcomplete": {"cli"},
     "gymnasium": {"tapping_env"},
+    "pyarrow": {"report"},
 }
 # These modules open real ports. The simulated world must never open a real port, so it may not
 # import these modules.
