@@ -27,6 +27,7 @@ from tapping_cell.conformance import arm, camera, planner, tapper
 from tapping_cell.report import error_codes
 from tapping_cell.report.columns import declared
 from tapping_cell.report.run import TapRow
+from tapping_cell.report.tables import RUN_COLUMNS, RUNS, TRIAL_COLUMNS, TRIALS
 from tapping_cell.simulation.truth import TruthFile
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
@@ -75,6 +76,39 @@ One row a tap. Each name ends with its unit; poses are in the frame `table`, and
 
 | columns | meaning |
 | --- | --- |
+"""
+_TABLES = """# Tables of trials, runs and taps
+
+Each table is a CSV file with one row for each trial, run or tap. The names of the columns end with
+the unit, and unknown numbers are `nan`. If pyarrow is installed (`pip install .[parquet]`), the
+same table is also written as a Parquet file beside it. To read a table back:
+
+```python
+import pandas
+
+trials = pandas.read_csv("comparison/trials.csv")
+print(trials.groupby("method").taps.describe())
+```
+
+`make reference` writes this page from `report/tables.py`.
+
+| table | one row for each | written by |
+| --- | --- | --- |
+| `trials.csv` | trial of a simulation | `evaluate --report DIR`, also with `--all` |
+| `runs.csv` | run folder | `report runs/* --output DIR` |
+| `runs_taps.csv` | tap of these runs | `report runs/* --output DIR` |
+| `single_taps.csv` | trial of single taps | `fit RECORDS ... --report DIR` |
+"""
+_TABLES_END = """
+## runs_taps.csv
+
+`run`, the name of the run, and the columns of [taps.csv](taps.md). The bag of each run
+([run folders](../runs.md#the-bag)) has the images and all topics as MCAP.
+
+## single_taps.csv
+
+`records` (folder of the records), the [columns of the records](../calibration.md#the-records) in
+SI units, and `used`, whether the fit used the trial.
 """
 _HUNDREDS = {
     1: "goals and commands",
@@ -354,11 +388,21 @@ def contracts_page() -> str:
     return "".join(parts)
 
 
+def tables_page() -> str:
+    """Return the page on the tables of trials, runs and taps."""
+    parts = [_TABLES]
+    for name, columns in ((TRIALS, TRIAL_COLUMNS), (RUNS, RUN_COLUMNS)):
+        parts.append(f"\n## {name}\n\n| column | meaning |\n| --- | --- |\n")
+        parts += [f"| `{column}` | {meaning} |\n" for column, meaning in columns.items()]
+    return "".join([*parts, _TABLES_END])
+
+
 PAGES: dict[Path, Callable[[], str]] = {
     DOCS / "commands.md": commands_page,
     DOCS / "reference" / "configuration.md": configuration_page,
     DOCS / "error_codes.md": error_codes_page,
     DOCS / "reference" / "contracts.md": contracts_page,
+    DOCS / "reference" / "tables.md": tables_page,
     DOCS / "reference" / "taps.md": taps_page,
     DOCS.parent / "tapping_cell" / "cli" / "options.json": options_file,
 }

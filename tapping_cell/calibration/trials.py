@@ -309,7 +309,7 @@ def append_trial(folder: Path, trial: Trial) -> None:
     with part.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.writer(stream)
         if fresh:
-            titles = [_title(column) for column in TRIAL_COLUMNS]
+            titles = [title(column) for column in TRIAL_COLUMNS]
             writer.writerow(["run", "trial", "outcome", *titles, "note"])
         else:
             kept = file.read_bytes().decode()
@@ -323,11 +323,11 @@ def _write_track(file: Path, track: Track) -> None:
     columns = [getattr(track, entry.name).tolist() for entry in fields(Track)]
     with file.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.writer(stream)
-        writer.writerow([_title(column) for column in TRACK_COLUMNS])
+        writer.writerow([title(column) for column in TRACK_COLUMNS])
         writer.writerows([_cell(value) for value in row] for row in zip(*columns, strict=True))
 
 
-def _title(column: Column) -> str:
+def title(column: Column) -> str:
     """Return the column's name with its SI unit, for the header."""
     return column.name + ("_" + column.unit.replace("/", "_") if column.unit else "")
 

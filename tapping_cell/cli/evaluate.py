@@ -333,8 +333,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--report",
         type=Path,
         metavar="DIR",
-        help="folder for a table and plots (with --all or --sweep), or for figures of up to six "
-        "scenes (with --arrange)",
+        help="folder for trials.csv, a table of all trials; with --all also for the comparison and "
+        "its plots, with --sweep instead for the table of the points and its plot, with --arrange "
+        "instead for figures of up to six scenes",
     )
 
 
@@ -362,18 +363,18 @@ def run(arguments: argparse.Namespace) -> int:
             return _sweep(arguments)
         if arguments.all:
             return _compare(arguments)
-        if arguments.report is not None:
-            raise PlanningError(
-                "--report is for several evaluations: give --all, --sweep or --arrange"
-            )
-        evaluation = make_evaluation(arguments, arguments.planner)
-        figures = measure(arguments, evaluation)
+        figures, results = _measure(arguments, make_evaluation(arguments, arguments.planner))
     except (PlanningError, ConfigurationError, MechanicsError) as error:
         return print_refusal(error)
     if arguments.json:
         print(json.dumps(figures, indent=2))
     else:
         print(_text(arguments.planner, figures))
+    if arguments.report is not None:
+        from tapping_cell.report.tables import TRIALS, write_trials
+
+        arguments.report.mkdir(parents=True, exist_ok=True)
+        write_trials(arguments.report / TRIALS, {arguments.planner: results})
     return 0
 
 

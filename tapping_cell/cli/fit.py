@@ -48,7 +48,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "in the records)",
     )
     parser.add_argument(
-        "--report", type=Path, metavar="DIR", help="folder for figures and report.html"
+        "--report",
+        type=Path,
+        metavar="DIR",
+        help="folder for figures, report.html and single_taps.csv, a table of all trials",
     )
     argument_types.add_seed(parser, 0, "random seed of the bootstrap (default: 0)")
     add_output_arguments(parser, required=False)
@@ -75,9 +78,10 @@ def run(arguments: argparse.Namespace) -> int:
             text = object_yaml(fitted_object(fit, record), record)
             write_kept(output, text, record, load_object)
         if arguments.report is not None:
-            from tapping_cell.cli.fit_report import write_report
+            from tapping_cell.cli.fit_report import write_report, write_trials
 
             write_report(arguments.report.expanduser(), fit, record)
+            write_trials(arguments.report.expanduser(), fit, experiments)
     except (RecordError, KeptFile, ConfigurationError, OSError) as error:
         print_error(str(error))
         return 2

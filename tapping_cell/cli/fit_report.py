@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tapping_cell.calibration.estimates import Estimate
+from tapping_cell.calibration.experiment import Experiment
 from tapping_cell.calibration.object_fit import ObjectFit
 from tapping_cell.calibration.prediction import Launches, RunErrors
+from tapping_cell.calibration.trials import TRIAL_COLUMNS, title
 from tapping_cell.cli.fit_labels import shown, speed_lines
 from tapping_cell.configuration.objects import GRAVITY
 from tapping_cell.configuration.provenance import Provenance
@@ -23,7 +27,9 @@ from tapping_cell.report.single_tap import (
     SingleTapReport,
 )
 from tapping_cell.report.single_tap_page import write_page
+from tapping_cell.report.tables import write_table
 
+SINGLE_TAPS = "single_taps.csv"
 _PROFILES = 2
 _MARGIN_S = 0.06
 _CURVE = 200
@@ -33,6 +39,31 @@ _MM, _DEG = 1e3, 180 / math.pi
 def write_report(folder: Path, fit: ObjectFit, record: Provenance) -> Path:
     """Write the page and its figures. Return the path of the page."""
     return write_page(report_of(fit, record), folder)
+
+
+def write_trials(folder: Path, fit: ObjectFit, experiments: Sequence[Experiment]) -> None:
+    """Write one row for each trial of the experiments, with the columns of their records."""
+    used = {(entry.trial.file, entry.trial.row) for entry in fit.used}
+    columns: dict[str, list[Any]] = {
+        name: []
+        for name in (
+            "records",
+            "run",
+            "trial",
+            "outcome",
+            *map(title, TRIAL_COLUMNS),
+            "note",
+            "used",
+        )
+    }
+    for experiment in experiments:
+        for trial in experiment.trials:
+            numbers = [getattr(trial, column.name) for column in TRIAL_COLUMNS]
+            names = (str(experiment.folder), trial.run, trial.trial, trial.outcome)
+            row = (*names, *numbers, trial.note, (trial.file, trial.row) in used)
+            for column, value in zip(columns.values(), row, strict=True):
+                column.append(value)
+    write_table(folder / SINGLE_TAPS, columns)
 
 
 def report_of(fit: ObjectFit, record: Provenance) -> SingleTapReport:

@@ -3,8 +3,8 @@
 A run is a folder written by the recorder or the demo, or only the bag of a run. For each run
 folder, summary.json, taps.csv, cell.png and report.html are rebuilt from its bag. If the bag is
 missing, only cell.png and report.html are rebuilt, from summary.json and taps.csv. For several
-runs, a page comparison.html is also written. If several paths are given, those that are no runs are
-skipped.
+runs, a page comparison.html and the tables runs.csv and runs_taps.csv are also written. If several
+paths are given, those that are no runs are skipped.
 
     python -m tapping_cell report runs/2026-11-21_15-10-00_to_20_10_0
     python -m tapping_cell report runs/* --output comparison
@@ -39,6 +39,7 @@ from tapping_cell.report.run_folder import (
     write_illustrated_run,
 )
 from tapping_cell.report.run_reader import IllustratedRun
+from tapping_cell.report.tables import write_runs
 
 COMPARISON = "comparison.html"
 
@@ -138,11 +139,12 @@ def _report_folder(path: Path, output: Path | None) -> Path:
 
 
 def compare(reports: list[tuple[Run, Path]], folder: Path) -> Path:
-    """Write the page that compares runs, replacing an earlier comparison."""
+    """Write the page that compares runs and the tables of runs and taps, replacing earlier ones."""
     folder.mkdir(parents=True, exist_ok=True)
     links = [os.path.relpath(own / PAGE, folder) for _, own in reports]
     page = folder / COMPARISON
     replace_text(page, comparison_page([run for run, _ in reports], links))
+    write_runs(folder, reports)
     return page
 
 

@@ -4,13 +4,20 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ament_index_python.packages import get_package_share_directory
+
+def own_folder(name: str) -> Path | None:
+    """Return a top folder of the source tree, such as ``config``. It is that of the source tree, or
+    the copy that ``pip install`` makes inside the package; None in a ROS workspace."""
+    package = Path(__file__).resolve().parents[1]
+    root = package.parent if (package.parent / "package.xml").is_file() else package
+    return root / name if (root / name).is_dir() else None
 
 
 def shared_folder() -> Path:
-    """Return the ``config`` folder of the source tree if the package is run from a source tree,
-    otherwise the installed folder."""
-    source = Path(__file__).resolve().parents[2]
-    if (source / "package.xml").is_file():
-        return source / "config"
+    """Return the folder ``config`` of the source tree or of the installation."""
+    own = own_folder("config")
+    if own is not None:
+        return own
+    from ament_index_python.packages import get_package_share_directory
+
     return Path(get_package_share_directory("tapping_cell")) / "config"

@@ -140,7 +140,7 @@ class BagWriter:
         """Add a topic before its first message.
 
         Raises:
-            tapping_cell.report.message_types.UnknownMessageType: ``kind`` has no definition.
+            tapping_cell.report.message_files.UnknownMessageType: ``kind`` has no definition.
             BagError: the topic was already added.
         """
         if name in self._topics:

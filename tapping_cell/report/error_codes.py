@@ -6,7 +6,7 @@ import re
 from dataclasses import dataclass
 from functools import cache
 
-from tapping_cell.report.message_types import definition_file
+from tapping_cell.report.message_files import definition_file
 
 _DECLARATION = re.compile(
     r"^uint16 (?P<name>\w+) = (?P<number>\d+) +# (?P<symptom>[^|]+?)"

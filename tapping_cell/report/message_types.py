@@ -3,22 +3,15 @@ installed."""
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import cast
 
-from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
 from rosbags.interfaces import Nodetype
 from rosbags.interfaces.typing import Fielddefs
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.base import TypesysError
 from rosbags.typesys.store import Typestore
 
-_OWN_PACKAGE = "tapping_cell_msgs"
-_OWN_SOURCES = Path(__file__).resolve().parents[2] / "msg_defs"
-
-
-class UnknownMessageType(ValueError):
-    """Raised for an unknown message type; the message lists the searched locations."""
+from tapping_cell.report.message_files import UnknownMessageType, definition_file
 
 
 class MessageTypes:
@@ -62,32 +55,6 @@ class MessageTypes:
                 ) from error
             missing += [held for _, fields in types.values() for held in _names_in(fields)]
         return self._store
-
-
-def definition_file(kind: str) -> Path:
-    """Return the file that defines a message type, such as ``geometry_msgs/msg/Pose``.
-
-    Raises:
-        UnknownMessageType: neither an installed package nor the source tree defines it.
-    """
-    parts = kind.split("/")
-    if len(parts) != 3 or not all(parts):
-        raise UnknownMessageType(f"'{kind}' is not a message type; give it as package/msg/Name")
-    package, folder, name = parts
-    try:
-        share = Path(get_package_share_directory(package))
-    except (PackageNotFoundError, OSError, ValueError) as error:
-        # Before a build, the ament index lacks tapping_cell_msgs, so use its definitions in the
-        # source tree.
-        if package != _OWN_PACKAGE or not _OWN_SOURCES.is_dir():
-            raise UnknownMessageType(
-                f"the definition of {kind} was not found: the package {package} is not installed"
-            ) from error
-        share = _OWN_SOURCES
-    file = share / folder / f"{name}.msg"
-    if not file.is_file():
-        raise UnknownMessageType(f"the definition of {kind} was not found: there is no {file}")
-    return file
 
 
 def _names_in(fields: Fielddefs) -> list[str]:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import math
 from dataclasses import dataclass, replace
@@ -17,26 +15,16 @@ from matplotlib.patches import Rectangle
 
 from tapping_cell.durable_file import replace_text
 from tapping_cell.planning import Planner, PlannerSettings, planner_names
-from tapping_cell.planning.evaluation.task import End, Results
+from tapping_cell.planning.evaluation.task import Results
 from tapping_cell.planning.interface import Array
 from tapping_cell.planning.multi import MultiPlanner
 from tapping_cell.planning.registry import load_planner
 from tapping_cell.report.palette import REST, STRIKE
+from tapping_cell.report.tables import TRIALS, write_trials
 
 FAN_RUNS = 60
 FAN_SEED = 1
 Goal = tuple[float, float, float]
-TRIAL_COLUMNS = (
-    "method",
-    "trial",
-    "taps",
-    "end",
-    "inside",
-    "distance_mm",
-    "rotation_deg",
-    "seconds",
-)
-"""Columns of ``trials.csv`` (docs/planning.md)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,30 +103,12 @@ def write_comparison(
     folder.mkdir(parents=True, exist_ok=True)
     replace_text(folder / "comparison.md", comparison_table(rows) + "\n")
     replace_text(folder / "comparison.json", json.dumps(rows, indent=2) + "\n")
-    _write_trials(trials, folder / "trials.csv")
+    write_trials(folder / TRIALS, trials)
     draw_histograms(rows, folder / "planning_taps.png")
     draw_success(rows, folder / "planning_success.png")
     draw_differences(rows, folder / "planning_differences.png")
     draw_cones(settings, goal, compared, folder / "planning_cones.png")
     draw_fans(settings, goal, compared, folder / "planning_fans.png")
-
-
-def _write_trials(trials: dict[str, Results], path: Path) -> None:
-    """Write one row for each trial of each method."""
-    text = io.StringIO(newline="")
-    table = csv.writer(text)
-    table.writerow(TRIAL_COLUMNS)
-    for label, results in trials.items():
-        measured = (1e3 * results.distance, np.degrees(results.rotation), results.seconds)
-        columns = (
-            results.taps,
-            (End(code).name.lower() for code in results.end.tolist()),
-            results.inside,
-            *((f"{value:.6g}" for value in values.tolist()) for values in measured),
-        )
-        for number, row in enumerate(zip(*columns, strict=True)):
-            table.writerow([label, number, *row])
-    replace_text(path, text.getvalue())
 
 
 def draw_histograms(rows: dict[str, dict[str, Any]], path: Path) -> None:

@@ -78,7 +78,9 @@ class SimulatedTable:
     The object starts at the pose in ``truth``. The camera has the noise in the cell file.
     """
 
-    def __init__(self, cell: Cell, truth: TruthFile | None = None, seed: int = 0) -> None:
+    def __init__(
+        self, cell: Cell, truth: TruthFile | None = None, seed: int | np.random.Generator = 0
+    ) -> None:
         """``truth``: simulation parameters; None for those of the package."""
         self._cell = cell
         self._random = np.random.default_rng(seed)
@@ -93,6 +95,10 @@ class SimulatedTable:
     def pose(self) -> Pose:
         """True pose of the object in `table`."""
         return self._world.pose
+
+    def place(self, pose: Pose) -> None:
+        """Place the object at a pose in `table`, at rest."""
+        self._world.place(pose)
 
     def observe(self) -> tuple[Array, Array]:
         """Return a measured pose (3,) of the object, m and rad, and its covariance (3, 3)."""

@@ -33,6 +33,7 @@ ARROWS = {
         "configuration",
     },
     "calibration": {"se2", "mechanics", "vision", "hardware", "configuration"},
+    "tapping_env": {"se2", "planning", "configuration", "simulation"},
     "report": {"se2", "durable_file", "mechanics", "planning", "configuration"},
     "logic": {"se2", "messages", "hardware", "planning", "vision", "configuration"},
     "conformance": {"se2", "messages", "logic", "configuration"},
@@ -81,6 +82,8 @@ HOMES = {
     "PIL": {"vision"},
     "tornado": {"nodes"},
     "argcomplete": {"cli"},
+    "gymnasium": {"tapping_env"},
+    "pyarrow": {"report"},
 }
 # These modules open real ports. The simulated world must never open a real port, so it may not
 # import these modules.

@@ -395,7 +395,7 @@ def test_every_imported_package_is_declared():
                 imported.add(node.module.split(".")[0])
             elif isinstance(node, ast.Import):
                 imported.update(alias.name.split(".")[0] for alias in node.names)
-    optional = {"distributed"}  # not required: `evaluate --sweep --cluster` says how to install it
+    optional = {"distributed", "gymnasium", "pyarrow"}  # README.md says what they are for
     outside = imported - set(sys.stdlib_module_names) - {"tapping_cell"} - optional
     assert {"numpy", "rclpy"} <= outside
     undeclared = {

@@ -18,7 +18,8 @@ from tapping_cell.configuration.cell import Cell, cells_of
 from tapping_cell.logic.planner import WORKING_STATES
 from tapping_cell.planning.prescribed import METHOD as PRESCRIBED
 from tapping_cell.report.bag import BagError, BagWriter, Quality
-from tapping_cell.report.message_types import MessageTypes, UnknownMessageType
+from tapping_cell.report.message_files import UnknownMessageType
+from tapping_cell.report.message_types import MessageTypes
 from tapping_cell.report.run_folder import write_folder
 from tapping_cell.report.versions import versions
 

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import csv
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from without_ros import run
 
 from tapping_cell.cli import paper, sweep
 from tapping_cell.planning import CameraNoise, PlannerSettings
 
+ROOT = Path(__file__).resolve().parents[3]
 TRIALS = 100
 EXPECTED = {
     "torque factor, aluminium disk": (3.5, 3.8),
@@ -55,9 +58,11 @@ EXPECTED = {
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
+    """The verb runs without ROS, as in a Python where pip installed the package."""
     folder = tmp_path_factory.mktemp("paper")
-    results = paper.experiments(folder, TRIALS, processes=1)
-    paper.write(folder, results)
+    words = ("paper", "--trials", str(TRIALS), "--processes", "1", "--report", str(folder))
+    done = run(ROOT, folder, "-m", "tapping_cell", *words)
+    assert done.returncode == 0, done.stderr
     return folder
 
 

@@ -196,7 +196,6 @@ def test_the_report_compares_a_class_of_the_user_with_all_methods(capsys, tmp_pa
         (["--box", "3"], "box is 3.0"),
         (["--round-position", "15"], "--model physics"),
         (["--random-tasks", "40"], "two"),
-        (["--report", "x"], "--all"),
         (["--gain-bias", "90", "0"], "40 %"),
         (["--scatter", "500", "0", "0"], "distance is 5.0"),
         (["--model", "physics", "--truth", "/no/such/file.yaml"], "no/such/file"),

@@ -22,7 +22,8 @@ from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
 from tapping_cell.report.bag import BagError, BagWriter, Quality, bag_file, read_bag, recover
-from tapping_cell.report.message_types import MessageTypes, UnknownMessageType
+from tapping_cell.report.message_files import UnknownMessageType
+from tapping_cell.report.message_types import MessageTypes
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 MESSAGES = Path(__file__).resolve().parents[3] / "msg_defs" / "msg"
