@@ -309,8 +309,7 @@ def append_trial(folder: Path, trial: Trial) -> None:
     with part.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.writer(stream)
         if fresh:
-            titles = [title(column) for column in TRIAL_COLUMNS]
-            writer.writerow(["run", "trial", "outcome", *titles, "note"])
+            writer.writerow(TRIAL_TITLES)
         else:
             kept = file.read_bytes().decode()
             stream.write(kept if kept.endswith("\n") else kept + "\r\n")
@@ -323,14 +322,18 @@ def _write_track(file: Path, track: Track) -> None:
     columns = [getattr(track, entry.name).tolist() for entry in fields(Track)]
     with file.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.writer(stream)
-        writer.writerow([title(column) for column in TRACK_COLUMNS])
+        writer.writerow([_title(column) for column in TRACK_COLUMNS])
         writer.writerows([_cell(value) for value in row] for row in zip(*columns, strict=True))
 
 
-def title(column: Column) -> str:
+def _title(column: Column) -> str:
     """Return the column's name with its SI unit, for the header."""
     return column.name + ("_" + column.unit.replace("/", "_") if column.unit else "")
 
 
 def _cell(value: float) -> str:
     return "" if math.isnan(value) else repr(float(value))
+
+
+TRIAL_TITLES = ("run", "trial", "outcome", *map(_title, TRIAL_COLUMNS), "note")
+"""Header of a run's file."""

@@ -21,7 +21,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from tapping_cell.cli import argument_types
-from tapping_cell.cli.errors import ExitStatus, print_error
+from tapping_cell.cli.errors import ExitStatus, print_error, wrong_choice
 from tapping_cell.configuration.cell import load_cell
 from tapping_cell.configuration.schema import ConfigurationError
 from tapping_cell.conformance import arm, camera, planner, tapper
@@ -45,9 +45,10 @@ def run(arguments: argparse.Namespace) -> int:
     part = PARTS[arguments.node]
     duties = part.DUTIES
     if arguments.only:
-        unknown = set(arguments.only) - {duty.number for duty in duties}
+        numbers = [duty.number for duty in duties]
+        unknown = [number for number in arguments.only if number not in numbers]
         if unknown:
-            print_error(f"{arguments.node} has no duty {', '.join(sorted(unknown))}")
+            print_error(wrong_choice("--only", unknown[0], numbers))
             return ExitStatus.REFUSED
         duties = tuple(duty for duty in duties if duty.number in arguments.only)
     try:

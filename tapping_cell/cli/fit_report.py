@@ -14,7 +14,7 @@ from tapping_cell.calibration.estimates import Estimate
 from tapping_cell.calibration.experiment import Experiment
 from tapping_cell.calibration.object_fit import ObjectFit
 from tapping_cell.calibration.prediction import Launches, RunErrors
-from tapping_cell.calibration.trials import TRIAL_COLUMNS, title
+from tapping_cell.calibration.trials import TRIAL_COLUMNS, TRIAL_TITLES
 from tapping_cell.cli.fit_labels import shown, speed_lines
 from tapping_cell.configuration.objects import GRAVITY
 from tapping_cell.configuration.provenance import Provenance
@@ -44,18 +44,7 @@ def write_report(folder: Path, fit: ObjectFit, record: Provenance) -> Path:
 def write_trials(folder: Path, fit: ObjectFit, experiments: Sequence[Experiment]) -> None:
     """Write one row for each trial of the experiments, with the columns of their records."""
     used = {(entry.trial.file, entry.trial.row) for entry in fit.used}
-    columns: dict[str, list[Any]] = {
-        name: []
-        for name in (
-            "records",
-            "run",
-            "trial",
-            "outcome",
-            *map(title, TRIAL_COLUMNS),
-            "note",
-            "used",
-        )
-    }
+    columns: dict[str, list[Any]] = {name: [] for name in ("records", *TRIAL_TITLES, "used")}
     for experiment in experiments:
         for trial in experiment.trials:
             numbers = [getattr(trial, column.name) for column in TRIAL_COLUMNS]

@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import math
 
-from tapping_cell.conformance.stage import OBJECT, PATIENCE_S, Duty, Stage, Steps, check_rate, far
+from tapping_cell.conformance.stage import PATIENCE_S, SHOWN_S, Duty, Stage, Steps, check_rate, far
 from tapping_cell.logic.permit import longest_hold
 from tapping_cell.logic.poses import to_message
 from tapping_cell.messages import (
     ArmState,
     ErrorCode,
     HoldStill,
-    ObjectState,
-    PlanState,
-    PoseWithCovariance,
     TapCommand,
     TapperState,
 )
@@ -30,15 +27,13 @@ PLACED_M, PLACED_RAD = 0.002, 0.05
 """Maximum difference between the strike pose and the tip that was read back."""
 STILL_M, STILL_RAD = 0.0005, 0.01
 """Maximum change of the tip that was read back while the arm stands still."""
-SHOWN_S = 0.5
-"""Time after which an error or a stop must be in the state."""
 
 
 def begin(stage: Stage) -> Steps:
     """Play the other nodes, and bring the arm to IDLE."""
     stage.play("tapper_state", lambda: TapperState(header=stage.header(""), state=TapperState.SAFE))
-    stage.play("plan_state", lambda: PlanState(header=stage.header(), state=PlanState.PLACING))
-    stage.play("object_state", lambda: _seen(stage))
+    stage.play_planner()
+    stage.play("object_state", stage.object_state)
     if not (yield from stage.until(lambda: stage.last(STATES), 5.0)):
         return "it publishes no arm_state"
     stage.emergency_stop(False)
@@ -55,17 +50,6 @@ def begin(stage: Stage) -> Steps:
             stage.withdraw(state.tap_id)
         yield from stage.pause(0.3)
     return ""
-
-
-def _seen(stage: Stage) -> ObjectState:
-    return ObjectState(
-        header=stage.header(),
-        object_id=stage.cell.object.name,
-        visible=True,
-        at_rest=True,
-        frames_fused=30,
-        pose=PoseWithCovariance(pose=to_message(OBJECT)),
-    )
 
 
 def _state(stage: Stage) -> int:

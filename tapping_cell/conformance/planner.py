@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from itertools import pairwise
+
+import numpy as np
 
 from tapping_cell.conformance.stage import Duty, Stage, Steps, check_rate
 from tapping_cell.logic.clock import to_nanoseconds
-from tapping_cell.logic.poses import from_message, to_message
+from tapping_cell.logic.goal_watch import FINAL_STATES
+from tapping_cell.logic.poses import covariance_to_message, from_message, to_message
 from tapping_cell.messages import (
     ArmState,
     ErrorCode,
@@ -16,7 +18,6 @@ from tapping_cell.messages import (
     ObjectStates,
     PlanState,
     PoseStamped,
-    PoseWithCovariance,
     TapCommand,
     TapperState,
 )
@@ -29,7 +30,6 @@ LISTENS = (STATES, "tap_command")
 PLAYS = ("arm_state", "tapper_state", "object_state", "object_states", "goal_pose")
 """Topics that the checks publish."""
 START, GOAL = Pose(-0.02, 0.01, 0.2), Pose(0.01, 0.02, 0.3)
-FINAL = (PlanState.REACHED, PlanState.FAILED, PlanState.CANCELED)
 PLACING_S, FIRING_S, LEAVING_S = 0.5, 0.3, 0.4
 """Durations of the played devices, s."""
 GOAL_S = 90.0
@@ -104,19 +104,12 @@ class _Cell:
         )
 
     def seen(self) -> ObjectState:
-        state = ObjectState(
-            header=self.stage.header(), object_id=self.stage.cell.object.name, visible=self.visible
-        )
-        if not self.visible:
-            state.error_code, state.error_msg = ErrorCode.OBJECT_NOT_SEEN, "the object is not seen"
-            return state
-        state.at_rest, state.frames_fused = True, 60
-        state.at_rest_since = self.stage.stamp(-0.2)
-        state.references_used = [marker.id for marker in self.stage.cell.references.markers]
-        covariance = [0.0] * 36
-        covariance[0] = covariance[7] = SCATTER_M**2
-        covariance[35] = SCATTER_RAD**2
-        state.pose = PoseWithCovariance(pose=to_message(self.pose), covariance=covariance)
+        state = self.stage.object_state(self.pose, self.visible)
+        if self.visible:
+            state.at_rest_since = self.stage.stamp(-0.2)
+            state.references_used = [marker.id for marker in self.stage.cell.references.markers]
+            scatter = np.diag([SCATTER_M, SCATTER_M, SCATTER_RAD]) ** 2
+            state.pose.covariance = covariance_to_message(scatter)
         return state
 
 
@@ -128,7 +121,7 @@ def begin(stage: Stage) -> Steps:
         return "it publishes no plan_state"
 
     def idle() -> bool:
-        return stage.last(STATES).state in (PlanState.IDLE, *FINAL)
+        return stage.last(STATES).state in (PlanState.IDLE, *FINAL_STATES)
 
     if not (yield from stage.until(idle, GOAL_S)):
         return f"it does not end its goal: state {stage.last(STATES).state}"
@@ -161,11 +154,11 @@ def _taps(stage: Stage, since: float) -> list[TapCommand]:
 
 
 def _ended(stage: Stage, since: float) -> bool:
-    return any(state.state in FINAL for _, state in stage.received(STATES, since))
+    return any(state.state in FINAL_STATES for _, state in stage.received(STATES, since))
 
 
 def _end(stage: Stage, since: float) -> PlanState:
-    found = [state for _, state in stage.received(STATES, since) if state.state in FINAL]
+    found = [state for _, state in stage.received(STATES, since) if state.state in FINAL_STATES]
     return found[-1]  # type: ignore[no-any-return]
 
 
@@ -178,8 +171,7 @@ def _reports(stage: Stage) -> Steps:
         return "it commanded no tap"
     begun = stage.now()
     yield from stage.pause(PLACING_S)
-    times = [begun, *(at for at, _ in stage.received(STATES, begun)), stage.now()]
-    gap = max(after - before for before, after in pairwise(times))
+    gap = stage.gap(STATES, begun)
     return f"no plan_state for {gap:.2f} s during a tap (limit 0.45 s)" if gap > 0.45 else ""
 
 

@@ -3,16 +3,29 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 from collections import defaultdict
 from collections.abc import Callable, Generator
 from dataclasses import dataclass
 from itertools import pairwise
+from operator import itemgetter
 from typing import Any, Protocol
 
 from tapping_cell.configuration.cell import Cell
 from tapping_cell.logic.clock import NANOSECONDS, Now, to_nanoseconds, to_stamp
 from tapping_cell.logic.poses import from_message, to_message
-from tapping_cell.messages import Bool, Header, HoldStill, TapCommand, Time, Trigger
+from tapping_cell.messages import (
+    Bool,
+    ErrorCode,
+    Header,
+    HoldStill,
+    ObjectState,
+    PlanState,
+    PoseWithCovariance,
+    TapCommand,
+    Time,
+    Trigger,
+)
 from tapping_cell.messages import Pose as PoseMessage
 from tapping_cell.se2 import Pose
 
@@ -24,6 +37,8 @@ GAP_M = 0.02
 """Distance of the striker from the object's bounding circle at a strike pose."""
 AHEAD_S = 0.05
 """Maximum time by which a stamp may be in the future."""
+SHOWN_S = 0.5
+"""Time after which an error or a stop must be in the state of a node."""
 PATIENCE_S = 60.0
 """Maximum duration of a motion of the arm or of its homing."""
 
@@ -63,6 +78,7 @@ class Link(Protocol):
 
 @dataclass(slots=True)
 class _Played:
+    topic: str
     period: float
     make: Callable[[], Any]
     due: float
@@ -81,7 +97,6 @@ class Stage:
         self._played: dict[str, _Played] = {}
         self._received: dict[str, list[tuple[float, Any]]] = defaultdict(list)
         self._last_id = 0
-        self._contested = ""
 
     def now(self) -> float:
         """Return the steady time in s."""
@@ -97,7 +112,23 @@ class Stage:
 
     def play(self, topic: str, make: Callable[[], Any], period: float = 0.05) -> None:
         """Publish the message that ``make`` returns on a topic, every ``period`` s."""
-        self._played[topic] = _Played(period, make, self.now())
+        self._played[topic] = _Played(topic, period, make, self.now())
+
+    def play_planner(self) -> None:
+        """Play a planner that waits for a commanded tap."""
+        waits = PlanState.PLACING
+        self.play("plan_state", lambda: PlanState(header=self.header(), state=waits))
+
+    def object_state(self, pose: Pose = OBJECT, visible: bool = True) -> ObjectState:
+        """Return the state of the object at rest, or hidden."""
+        state = ObjectState(
+            header=self.header(), object_id=self.cell.object.name, visible=visible, at_rest=visible
+        )
+        if visible:
+            state.frames_fused, state.pose = 30, PoseWithCovariance(pose=to_message(pose))
+        else:
+            state.error_code, state.error_msg = ErrorCode.OBJECT_NOT_SEEN, "the object is not seen"
+        return state
 
     def silence(self, topic: str) -> None:
         """Publish nothing more on a topic."""
@@ -105,8 +136,7 @@ class Stage:
 
     def contest(self, topic: str, make: Callable[[], Any]) -> None:
         """Let a further node publish on a topic too."""
-        self._played[STRANGER] = _Played(0.2, make, self.now(), stranger=True)
-        self._contested = topic
+        self._played[STRANGER] = _Played(topic, 0.2, make, self.now(), stranger=True)
 
     def end_contest(self) -> None:
         """Remove the further node."""
@@ -116,11 +146,26 @@ class Stage:
     def step(self) -> None:
         """Publish what is due."""
         now = self.now()
-        for topic, played in list(self._played.items()):
+        for played in self._played.values():
             if now >= played.due:
                 played.due = now + played.period
-                name = self._contested if played.stranger else topic
-                self.link.publish(name, played.make(), played.stranger)
+                self.link.publish(played.topic, played.make(), played.stranger)
+
+    def check(self, begin: Callable[[Stage], Steps], duty: Duty, wait: Callable[[], None]) -> str:
+        """Check one duty; return what was found wrong, or ''. ``begin`` prepares the node under
+        test, and ``wait`` lets a few ms pass."""
+        for start in (begin, duty.check):
+            steps = start(self)
+            while True:
+                try:
+                    next(steps)
+                except StopIteration as end:
+                    if end.value:
+                        return str(end.value)
+                    break
+                self.step()
+                wait()
+        return ""
 
     def publish(self, topic: str, message: Any) -> None:
         """Publish one message."""
@@ -132,7 +177,13 @@ class Stage:
 
     def received(self, topic: str, since: float = -math.inf) -> list[tuple[float, Any]]:
         """Return the messages of a topic since a steady time, each with its time."""
-        return [(at, message) for at, message in self._received[topic] if at >= since]
+        kept = self._received[topic]
+        return kept[bisect_left(kept, since, key=itemgetter(0)) :]
+
+    def gap(self, topic: str, since: float) -> float:
+        """Return the longest time without a message of a topic since a steady time, s."""
+        times = [since, *(at for at, _ in self.received(topic, since)), self.now()]
+        return max(after - before for before, after in pairwise(times))
 
     def last(self, topic: str) -> Any:
         """Return the last message of a topic, or None."""
@@ -225,9 +276,7 @@ def check_rate(
     and at most ``oldest`` s old."""
     begun = stage.now()
     yield from stage.pause(duration)
-    found = stage.received(topic, begun)
-    times = [begun, *(at for at, _ in found), stage.now()]
-    gap = max(after - before for before, after in pairwise(times))
+    found, gap = stage.received(topic, begun), stage.gap(topic, begun)
     if gap > longest:
         return f"no {topic} for {gap:.2f} s (limit {longest:.2f} s)"
     stamps = [1e-9 * to_nanoseconds(message.header.stamp) for _, message in found]

@@ -5,14 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from tapping_cell.conformance.stage import OBJECT, Duty, Stage, Steps, check_rate
+from tapping_cell.conformance.stage import OBJECT, SHOWN_S, Duty, Stage, Steps, check_rate
+from tapping_cell.logic.arm import CHARGED
 from tapping_cell.logic.poses import to_message
 from tapping_cell.messages import (
     ArmState,
     ErrorCode,
-    ObjectState,
-    PlanState,
-    PoseWithCovariance,
     TapCommand,
     TapperState,
 )
@@ -25,9 +23,6 @@ LISTENS = (STATES,)
 """Topics of the node that the checks need."""
 PLAYS = ("tap_command", "arm_state", "plan_state", "object_state")
 """Topics that the checks publish."""
-CHARGED = (TapperState.CHARGING, TapperState.CHARGED, TapperState.FIRING)
-SHOWN_S = 0.5
-"""Time after which an error or a stop must be in the state."""
 NOTICED_S = 0.8
 """Time after which a tapper must have noticed that a condition does not hold any more."""
 CHARGING_S = 10.0
@@ -43,6 +38,10 @@ class _Others:
     tip: PoseMessage | None = None
     object: Pose = OBJECT
     visible: bool = True
+
+    def serve(self, command: TapCommand, state: int) -> None:
+        """Let the arm be at the strike pose of a tap, in this state."""
+        self.state, self.tap_id, self.tip = state, command.tap_id, command.strike_pose
 
 
 def begin(stage: Stage) -> Steps:
@@ -83,31 +82,16 @@ def _play(stage: Stage) -> _Others:
             tip_pose=others.tip or away,
         )
 
-    def seen() -> ObjectState:
-        return ObjectState(
-            header=stage.header(),
-            object_id=stage.cell.object.name,
-            visible=others.visible,
-            at_rest=others.visible,
-            frames_fused=30 if others.visible else 0,
-            pose=PoseWithCovariance(pose=to_message(others.object)),
-            error_code=0 if others.visible else ErrorCode.OBJECT_NOT_SEEN,
-        )
-
     stage.play("arm_state", arm)
-    stage.play("plan_state", lambda: PlanState(header=stage.header(), state=PlanState.PLACING))
-    stage.play("object_state", seen)
+    stage.play_planner()
+    stage.play("object_state", lambda: stage.object_state(others.object, others.visible))
     return others
 
 
 def _placed(stage: Stage, others: _Others, valid: float = 30.0) -> TapCommand:
     """Send a command, and let the played arm be in position for it."""
     command = stage.send(stage.tap(valid=valid))
-    others.state, others.tap_id, others.tip = (
-        ArmState.IN_POSITION,
-        command.tap_id,
-        command.strike_pose,
-    )
+    others.serve(command, ArmState.IN_POSITION)
     return command
 
 
@@ -120,21 +104,13 @@ def _shots(stage: Stage) -> int:
     return int(stage.last(STATES).shots_fired)
 
 
-def _spoiled(
-    stage: Stage,
-    spoil: Callable[[_Others, TapCommand], object],
-    what: str,
-) -> Steps:
+def _spoiled(stage: Stage, spoil: Callable[[_Others, TapCommand], object], what: str) -> Steps:
     """Check that a tap whose conditions are spoiled while the striker is charged is not fired, ends
     as NOT_FIRED and leaves the striker discharged."""
     others, shots = _play(stage), _shots(stage)
     stage.promises = False
     command = stage.send(stage.tap())
-    others.state, others.tap_id, others.tip = (
-        ArmState.MOVING,
-        command.tap_id,
-        command.strike_pose,
-    )
+    others.serve(command, ArmState.MOVING)
     if not (yield from stage.until(lambda: _state(stage) == TapperState.CHARGED, CHARGING_S)):
         return f"it did not charge while the arm lowered the striker: {_error(stage)}"
     yield from stage.pause(0.2)  # the tapper has received all states since the command
@@ -222,7 +198,7 @@ def _expires(stage: Stage) -> Steps:
     command = stage.send(stage.tap(valid=1.0))
     others.state, others.tap_id = ArmState.MOVING, command.tap_id
     yield from stage.pause(1.2)
-    others.state, others.tip = ArmState.IN_POSITION, command.strike_pose
+    others.serve(command, ArmState.IN_POSITION)
     yield from stage.pause(2.0)
     if _shots(stage) != shots or _outcome(stage, command.tap_id) != TapperState.NOT_FIRED:
         return f"outcome {_outcome(stage, command.tap_id)} instead of NOT_FIRED after its expiry"
@@ -247,26 +223,14 @@ def _object_hidden(stage: Stage) -> Steps:
     return (yield from _spoiled(stage, spoil, "the object was hidden"))
 
 
-def _silent_arm(stage: Stage) -> Steps:
-    """Does not fire and discharges if `arm_state` ends."""
-    found = yield from _spoiled(stage, lambda *_: stage.silence("arm_state"), "arm_state had ended")
-    return found
+def _ends(topic: str) -> Callable[[Stage], Steps]:
+    """Return the check of a tapper while a topic ends."""
 
+    def check(stage: Stage) -> Steps:
+        return _spoiled(stage, lambda *_: stage.silence(topic), f"{topic} had ended")
 
-def _silent_planner(stage: Stage) -> Steps:
-    """Does not fire and discharges if `plan_state` ends."""
-    found = yield from _spoiled(
-        stage, lambda *_: stage.silence("plan_state"), "plan_state had ended"
-    )
-    return found
-
-
-def _silent_camera(stage: Stage) -> Steps:
-    """Does not fire and discharges if `object_state` ends."""
-    found = yield from _spoiled(
-        stage, lambda *_: stage.silence("object_state"), "object_state had ended"
-    )
-    return found
+    check.__doc__ = f"Does not fire and discharges if `{topic}` ends."
+    return check
 
 
 def _arm_leaves(stage: Stage) -> Steps:
@@ -331,9 +295,9 @@ DUTIES = (
     Duty("T5", _expires),
     Duty("T6", _object_moved),
     Duty("T7", _object_hidden),
-    Duty("T8", _silent_arm),
-    Duty("T9", _silent_planner),
-    Duty("T10", _silent_camera),
+    Duty("T8", _ends("arm_state")),
+    Duty("T9", _ends("plan_state")),
+    Duty("T10", _ends("object_state")),
     Duty("T11", _arm_leaves),
     Duty("T12", _withdrawn),
     Duty("T13", _one_authority),

@@ -13,8 +13,9 @@ from rclpy.qos import QoSProfile
 
 from tapping_cell import messages
 from tapping_cell.configuration.cell import Cell
-from tapping_cell.conformance.stage import Duty, Stage, Steps
+from tapping_cell.conformance.stage import STRANGER, Duty, Stage, Steps
 from tapping_cell.logic.clock import Now
+from tapping_cell.nodes.authority import contest
 from tapping_cell.nodes.cell_node import COMMAND, LATCHED
 from tapping_cell.nodes.clients.client_node import ClientNode
 from tapping_cell.nodes.message_conversion import from_ros, ros_class, to_ros
@@ -36,8 +37,8 @@ TYPES: Mapping[str, Any] = {**STATES, **COMMANDS}
 
 
 class NotAlone(RuntimeError):
-    """Other nodes publish what the checks must publish. The message names the topics and the
-    remedy."""
+    """Other nodes publish what the checks must publish. The message names the topics, the nodes and
+    the remedy."""
 
 
 class ConformanceClient(ClientNode):
@@ -70,27 +71,17 @@ class ConformanceClient(ClientNode):
     def check_alone(self) -> None:
         """Raise :class:`NotAlone` if other nodes publish what this client publishes."""
         time.sleep(DISCOVERY_S)
-        shared = [t for t in self._publishers if self.node.count_publishers(t) > 1]
-        shared = [topic for topic in shared if topic != "emergency_stop"]
+        topics = self._publishers.keys() - {"emergency_stop"}
+        shared = list(filter(None, (contest(self.node, topic) for topic in sorted(topics))))
         if shared:
             raise NotAlone(
-                f"another node publishes {', '.join(shared)}, which the checks of {self._tested}"
-                " publish themselves: run only this node (and sim_world) in this ROS domain"
+                f"{'; '.join(shared)}. The checks play all nodes but {self._tested}: run only this"
+                " node (and sim_world) in this ROS domain"
             )
-
-    def run(self, steps: Steps) -> str:
-        """Run a check; return what was found wrong, or ''."""
-        while True:
-            try:
-                next(steps)
-            except StopIteration as end:
-                return str(end.value or "")
-            self.stage.step()
-            time.sleep(STEP_S)
 
     def check(self, begin: Callable[[Stage], Steps], duty: Duty) -> str:
         """Check one duty; return what was found wrong, or ''."""
-        return self.run(begin(self.stage)) or self.run(duty.check(self.stage))
+        return self.stage.check(begin, duty, lambda: time.sleep(STEP_S))
 
     # Link of the stage
 
@@ -101,7 +92,8 @@ class ConformanceClient(ClientNode):
     def publish(self, topic: str, message: Any, stranger: bool) -> None:
         """Publish a message. ``stranger``: as a further node."""
         if stranger and topic not in self._strangers:
-            self._stranger = Node("stranger", context=self._context, namespace=self._namespace())
+            namespace = self.node.get_namespace()
+            self._stranger = Node(STRANGER, context=self._context, namespace=namespace)
             self._strangers[topic] = _publisher(self._stranger, topic)
         publishers = self._strangers if stranger else self._publishers
         publishers[topic].publish(to_ros(message))
@@ -126,9 +118,6 @@ class ConformanceClient(ClientNode):
                 lambda done: on_answer(from_ros(done.result(), response))
             )
         )
-
-    def _namespace(self) -> str:
-        return str(self.node.get_namespace())
 
     def _receiver(self, topic: str) -> Callable[[Any], None]:
         return lambda message: self.stage.receive(topic, from_ros(message, TYPES[topic]))

@@ -212,7 +212,7 @@ class TableTracker:
                 fit = fit_table(pose, points, rays, noise, self.settings, focal, used)
         unsquare = 0.0 if fit is None else fit.unsquare
         if fit is not None and unsquare > 0.0:
-            noise = np.hypot(noise, fit.unsquare)
+            noise = np.hypot(noise, unsquare)
             fit = fit_table(fit.pose, points, rays, noise, self.settings, focal, fit.used)
         if fit is None:
             return False
