@@ -125,11 +125,8 @@ class TappingEnv(gymnasium.Env[NDArray[np.float64], NDArray[np.float64]]):
         return np.concatenate([self._seen, self._goal])
 
     def _info(self, reached: bool, possible: bool) -> dict[str, Any]:
-        left, settings = difference(self._table.pose, self._goal), self.settings
-        inside = (
-            math.hypot(left[0], left[1]) <= settings.tolerance_position
-            and abs(left[2]) <= settings.tolerance_angle
-        )
+        left = difference(self._table.pose, self._goal)
+        inside = bool(self.settings.within_tolerance(left))
         return {"reached": reached, "inside": inside, "possible": possible}
 
 

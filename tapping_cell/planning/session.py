@@ -305,11 +305,7 @@ class GoalSession(ABC):
 
     def _camera_refusal(self, left: Array, box: StoppingBox) -> Refusal | None:
         settings = self.settings
-        within = (
-            math.hypot(left[0], left[1]) <= settings.tolerance_position
-            and abs(left[2]) <= settings.tolerance_angle
-        )
-        if within and not box.camera_suffices:
+        if settings.within_tolerance(left) and not box.camera_suffices:
             return Refusal(
                 RefusalReason.CAMERA_TOO_COARSE,
                 "the object may be at the goal, but the measured pose is too uncertain to "

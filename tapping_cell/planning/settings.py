@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, fields
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from tapping_cell.mechanics import Tap
 from tapping_cell.planning.errors import PlanningError
@@ -171,6 +171,12 @@ class PlannerSettings:
         return arrival(
             residual, covariance, self.tolerance_position, self.tolerance_angle, self.box
         )
+
+    def within_tolerance(self, residual: ArrayLike) -> NDArray[np.bool_]:
+        """Return whether residuals (..., 3), m and rad, are within the tolerance (...)."""
+        left = np.asarray(residual, dtype=float)
+        near = np.hypot(left[..., 0], left[..., 1]) <= self.tolerance_position
+        return np.asarray(near & (np.abs(left[..., 2]) <= self.tolerance_angle))
 
     @classmethod
     def for_tap(cls, tap: Tap, camera: CameraNoise, **others: Any) -> PlannerSettings:

@@ -100,10 +100,7 @@ def run_open_trials(
             )
     left = difference(pose, goal)
     distance, rotation = np.hypot(left[:, 0], left[:, 1]), left[:, 2]
-    settings = evaluation.settings
-    within = (distance <= settings.tolerance_position) & (
-        np.abs(rotation) <= settings.tolerance_angle
-    )
+    within = evaluation.settings.within_tolerance(left)
     never = np.zeros(count, dtype=bool)
     seconds = np.asarray(taps * evaluation.mean_tap, dtype=float)
     return Results(taps, end, within, distance, rotation, never, seconds)

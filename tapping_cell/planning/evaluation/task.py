@@ -176,9 +176,9 @@ def trial_result(
         end = End.ENDLESS
     else:
         end = End.REFUSED_BEFORE if session.taps == 0 else End.REFUSED_LATER
-    error, settings = session.residual(pose), session.settings
+    error = session.residual(pose)
     distance, rotation = math.hypot(error[0], error[1]), float(error[2])
-    within = distance <= settings.tolerance_position and abs(rotation) <= settings.tolerance_angle
+    within = bool(session.settings.within_tolerance(error))
     return session.taps, int(end), within, distance, rotation, over_edge, seconds
 
 
