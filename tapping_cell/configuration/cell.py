@@ -428,6 +428,16 @@ class ArmSection:
         return ScaraGeometry(**_values(self, ScaraGeometry))
 
     @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of the joints in the messages of the arm's driver, from the base on."""
+        return self.ros2_control.joints if self.ros2_control else Joints._fields
+
+    @property
+    def joint_states_topic(self) -> str:
+        """Topic of the arm's joint states."""
+        return self.ros2_control.joint_states if self.ros2_control else "joint_states"
+
+    @property
     def homes_alone(self) -> bool:
         """Return whether the arm can be homed without a person at the arm."""
         return self.homing != "manual_pose" and not self.axes_without_switch

@@ -10,6 +10,7 @@ from typing import Any
 from rclpy.action import ActionClient
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
+from rclpy.serialization import deserialize_message
 from rclpy.task import Future
 from rclpy.time import Time
 from sensor_msgs.msg import JointState
@@ -27,6 +28,7 @@ from tapping_cell.hardware.trajectory_link import (
 )
 from tapping_cell.nodes.cell_node import COMMAND
 from tapping_cell.nodes.drivers.ros_link import RosLink
+from tapping_cell.nodes.own_joints import OwnJoints
 
 try:
     from control_msgs.action import FollowJointTrajectory
@@ -63,7 +65,8 @@ class RosTrajectoryLink(RosLink):
         self._joints = section.joints
         self._max_acceleration = tuple(max_acceleration)
         self._samples: deque[JointSample] = deque()
-        self._other_names: tuple[str, ...] = ()
+        self._own = OwnJoints(section.joints)
+        self._other: bytes | None = None
         self._goal = 0
         self._course: Course | None = None
         self._handle: Any = None
@@ -73,7 +76,7 @@ class RosTrajectoryLink(RosLink):
         # A best-effort subscription also matches reliable publishers. A lost state does no harm,
         # because the next message replaces it.
         self._node.create_subscription(
-            JointState, section.joint_states, self._receive, qos_profile_sensor_data
+            JointState, section.joint_states, self._receive, qos_profile_sensor_data, raw=True
         )
         self._action: Any = None
         if section.interface != "topic" and FollowJointTrajectory is not None:
@@ -127,18 +130,23 @@ class RosTrajectoryLink(RosLink):
     @property
     def other_names(self) -> Sequence[str]:
         """Joint names in the last message that did not contain all joints of this arm."""
-        return self._other_names
+        other = self._other
+        return () if other is None else tuple(deserialize_message(other, JointState).name)
 
     @property
     def other_commanders(self) -> Sequence[str]:
         """Other nodes that publish on the controller's topic."""
         return self._publishers(self._topic)
 
-    def _receive(self, message: JointState) -> None:
+    def _receive(self, data: bytes) -> None:
         received = self.now()
+        if not self._own.may_be_in(data):
+            self._other = data
+            return
+        message = deserialize_message(data, JointState)
         places = {name: index for index, name in enumerate(message.name)}
         if not all(name in places for name in self._joints):
-            self._other_names = tuple(message.name)
+            self._other = data
             return
         order = [places[name] for name in self._joints]
         if max(order) >= len(message.position):

@@ -45,7 +45,9 @@ from tapping_cell.nodes.camera import images
 from tapping_cell.nodes.cell_node import LATCHED, CellNode, run
 from tapping_cell.nodes.cell_parameters import ObjectParameters
 from tapping_cell.nodes.conversions import seconds
-from tapping_cell.nodes.recorder.reception import MessageBuffer, MessageReader, PolledTopics
+from tapping_cell.nodes.own_joints import OwnJoints
+from tapping_cell.nodes.polled_topics import PolledTopics
+from tapping_cell.nodes.recorder.reception import MessageBuffer, MessageReader
 from tapping_cell.nodes.recorder.recording import (
     MEGABYTE,
     CannotRecord,
@@ -206,6 +208,7 @@ class RunRecorder(CellNode[Parameters]):
         self._planner_received = 0.0
         self._reader = MessageReader(self.get_logger().warning)
         self._polled = PolledTopics(self)
+        self._joints = OwnJoints(())
         self._folder, self._name = self.settings.folder, self.settings.name
         self._picture_rate = self.settings.picture_rate
         self._worker: Worker | None = None
@@ -256,7 +259,9 @@ class RunRecorder(CellNode[Parameters]):
             self._name = checked_name(self.settings.name)
         except ValueError as error:
             raise ConfigurationError(f"parameters of run_recorder: {error}") from error
-        self._notes = cell_notes(self.settings.load_cell(), self.settings.seed)
+        cell = self.settings.load_cell()
+        self._joints = OwnJoints(cell.arm.joint_names if cell.file.arm is not None else ())
+        self._notes = cell_notes(cell, self.settings.seed)
         self._worker = Worker("recorder", lambda: self._write(self._buffer.take()), WRITE_PERIOD_S)
         self._worker.start()
         self._reporter = Worker("teller")
@@ -342,6 +347,8 @@ class RunRecorder(CellNode[Parameters]):
         waiting.sort(key=lambda entry: -inf if entry[1] == "arrangement_state" else entry[0])
         for stamp, name, data in waiting:
             if name == PICTURES and not self._is_picture_due(stamp):
+                continue
+            if name == "joint_states" and not self._joints.may_be_in(data):
                 continue
             received = ReceivedMessage(self._recorded_name(name), stamp, data)
             process = self._processed.get(name)
