@@ -413,7 +413,9 @@ class DeviceLogic(ABC, Generic[State, Event]):
         self._effects.append(RunJob(Job(self._jobs, name, run)))
 
     def _read_when_due(self, period: float, run: Callable[[JobContext], object], now: Now) -> None:
-        if self._job is None and self._reading is None and now.steady >= self._read_at + period:
+        # A tick that comes a little early must not postpone the reading to the next one.
+        due = self._read_at + period - 0.5 * self.tick_period
+        if self._job is None and self._reading is None and now.steady >= due:
             self._read_at = now.steady
             self._jobs += 1
             self._reading = self._jobs
