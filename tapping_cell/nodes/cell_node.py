@@ -37,7 +37,7 @@ from tapping_cell.configuration.schema import ConfigurationError
 from tapping_cell.nodes import parameters, security
 from tapping_cell.nodes.cell_identity import key_of
 from tapping_cell.nodes.connection_check import ConnectionCheck
-from tapping_cell.nodes.memory import keep_memory
+from tapping_cell.nodes.memory import keep_memory, release_memory
 
 
 class NodeParameters(Protocol):
@@ -242,6 +242,7 @@ class CellNode(LifecycleNode, Generic[Parameters]):
             self._give_up(error)
             return TransitionCallbackReturn.FAILURE
         self._last_complaint = ""
+        release_memory()
         return super().on_activate(state)
 
     def on_deactivate(self, state: Previous) -> TransitionCallbackReturn:

@@ -1,4 +1,4 @@
-"""Memory settings for processes that handle images."""
+"""Memory that a process keeps and returns."""
 
 from __future__ import annotations
 
@@ -23,3 +23,11 @@ def keep_memory() -> None:
     if mallopt is not None:
         mallopt(_MMAP_THRESHOLD, _LARGEST)
         mallopt(_TRIM_THRESHOLD, _KEPT)
+
+
+def release_memory() -> None:
+    """Return the freed memory to the kernel. Call once after the start, which needs more memory
+    than the rest of the run. With another C library, the function does nothing."""
+    malloc_trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
+    if malloc_trim is not None:
+        malloc_trim(0)

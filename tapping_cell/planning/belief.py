@@ -16,8 +16,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import ndtr
 
 from tapping_cell.planning.interface import Array
 
@@ -111,7 +111,9 @@ class Belief:
         low, high = (mean - 9.0 * deviation).min(axis=-1), (mean + 9.0 * deviation).max(axis=-1)
         for _ in range(_BISECTIONS):
             middle = (low + high) / 2
-            below = (self.weight * ndtr((middle[..., None] - mean) / deviation)).sum(axis=-1)
+            below = (self.weight * scipy.special.ndtr((middle[..., None] - mean) / deviation)).sum(
+                axis=-1
+            )
             low = np.where(below < probability, middle, low)
             high = np.where(below < probability, high, middle)
         return np.asarray((low + high) / 2)

@@ -20,8 +20,8 @@ import math
 from collections.abc import Callable, Iterator
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike, NDArray
-from scipy.sparse import csr_array
 
 from tapping_cell.planning.fixed_policy import (
     LOST,
@@ -367,7 +367,7 @@ class _Problem:
         corners, weights, beyond = self._corners(*after)
         share = 1.0 / len(self.points)
         count = len(self.points) * 8
-        matrix = csr_array(
+        matrix = scipy.sparse.csr_array(
             (
                 (np.float32(share) * weights).reshape(-1).astype(float),
                 corners.reshape(-1),

@@ -20,9 +20,8 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike, NDArray
-from scipy.ndimage import map_coordinates
-from scipy.special import ndtri
 
 from tapping_cell.planning.interface import Array
 from tapping_cell.planning.settings import Scatter
@@ -111,7 +110,9 @@ class Solution:
         one more tap must be made."""
         e = np.asarray(error, dtype=float)
         where = self.grid.coordinates(e)
-        return np.asarray(map_coordinates(self.value, where, order=1, mode="constant", cval=LOST))
+        return np.asarray(
+            scipy.ndimage.map_coordinates(self.value, where, order=1, mode="constant", cval=LOST)
+        )
 
 
 def scatter_points(count: int) -> Array:
@@ -120,7 +121,7 @@ def scatter_points(count: int) -> Array:
     # Roberts' additive recurrence: evenly distributed in the cube and deterministic.
     root = 1.2207440846057596
     steps = np.outer(np.arange(1, count + 1), 1.0 / root ** np.arange(1, 4))
-    drawn = ndtri((0.5 + steps) % 1.0)
+    drawn = scipy.special.ndtri((0.5 + steps) % 1.0)
     return np.asarray((drawn - drawn.mean(axis=0)) / drawn.std(axis=0))
 
 
@@ -147,6 +148,6 @@ def expected_taps(table: Array, grid: Grid, box: tuple[float, float], after: Arr
     """Return the mean of W over ``after`` (..., p, 3), the states after a tap at its p scatter
     points. For states inside the box, 0 is used in place of W."""
     where = grid.coordinates(after)
-    value = map_coordinates(table, where, order=1, mode="constant", cval=LOST)
+    value = scipy.ndimage.map_coordinates(table, where, order=1, mode="constant", cval=LOST)
     inside = (np.hypot(after[..., 0], after[..., 1]) <= box[0]) & (np.abs(after[..., 2]) <= box[1])
     return np.asarray(np.where(inside, 0.0, value).mean(axis=-1))

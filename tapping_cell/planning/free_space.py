@@ -15,10 +15,8 @@ from copy import copy
 from functools import cached_property
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike, NDArray
-from scipy.ndimage import distance_transform_edt, label
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import dijkstra
 
 from tapping_cell.mechanics import Polygon
 from tapping_cell.planning.interface import Array
@@ -100,7 +98,7 @@ class FreeSpace:
         return self._space
 
     @cached_property
-    def _graph(self) -> coo_array:
+    def _graph(self) -> scipy.sparse.coo_array:
         return _neighbour_graph(self.tappable)
 
     @cached_property
@@ -111,7 +109,9 @@ class FreeSpace:
     def regions(self) -> NDArray[np.int32]:
         """Number of the region of each cell (flat): connected tappable cells share a number from 1
         on; other cells have 0."""
-        return np.asarray(label(self.tappable, structure=np.ones((3, 3)))[0].reshape(-1))
+        return np.asarray(
+            scipy.ndimage.label(self.tappable, structure=np.ones((3, 3)))[0].reshape(-1)
+        )
 
     def contains(self, points: ArrayLike) -> BoolArray:
         """Return whether the points (..., 2) are tappable."""
@@ -178,7 +178,9 @@ class FreeSpace:
         cell, offset = self.nearest_cells(goal)
         if not np.isfinite(offset):
             return np.full(self.tappable.size, np.inf)
-        return np.asarray(dijkstra(self._graph, directed=False, indices=int(cell)))
+        return np.asarray(
+            scipy.sparse.csgraph.dijkstra(self._graph, directed=False, indices=int(cell))
+        )
 
 
 class PathLengths:
@@ -340,7 +342,7 @@ def _largest_run(missing: BoolArray) -> Array:
     return np.asarray((np.minimum(longest, DIRECTIONS - 1) + 1) * (2.0 * math.pi / DIRECTIONS))
 
 
-def _neighbour_graph(tappable: BoolArray) -> coo_array:
+def _neighbour_graph(tappable: BoolArray) -> scipy.sparse.coo_array:
     """Return the symmetric graph of tappable cells; the weight of an edge is the distance between
     the centres of its cells."""
     columns, rows = tappable.shape
@@ -356,7 +358,7 @@ def _neighbour_graph(tappable: BoolArray) -> coo_array:
         starts.append(index[first][both])
         ends.append(index[second][both])
         weights.append(np.full(int(both.sum()), CELL * math.hypot(dx, dy)))
-    return coo_array(
+    return scipy.sparse.coo_array(
         (np.concatenate(weights), (np.concatenate(starts), np.concatenate(ends))),
         shape=(tappable.size, tappable.size),
     ).tocsr()
@@ -366,7 +368,9 @@ def _nearest_cells(tappable: BoolArray) -> NDArray[np.intp]:
     """Return the flat index of the tappable cell nearest to each cell; 0 if no cell is tappable."""
     if not np.any(tappable):
         return np.zeros(tappable.size, dtype=np.intp)
-    nearest = distance_transform_edt(~tappable, return_distances=False, return_indices=True)
+    nearest = scipy.ndimage.distance_transform_edt(
+        ~tappable, return_distances=False, return_indices=True
+    )
     return np.asarray(np.ravel_multi_index(tuple(nearest), tappable.shape).reshape(-1))
 
 

@@ -20,11 +20,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from statistics import NormalDist
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import ndtr
 
 from tapping_cell.planning.belief import Belief, Prior
 from tapping_cell.planning.errors import PlanningError
@@ -88,7 +88,7 @@ UNEXPLAINED = 0.5
 value."""
 
 
-_ONE_DEVIATION = (float(ndtr(-1.0)), float(ndtr(1.0)))
+_ONE_DEVIATION = (NormalDist().cdf(-1.0), NormalDist().cdf(1.0))
 
 
 class Spread(NamedTuple):
@@ -294,7 +294,7 @@ class Gains:
         length = np.hypot(command[..., 0], command[..., 1])
         size = np.maximum(length, MIN_MOVE)
         slope = command[..., 2] / size
-        high, low = float(ndtr(deviations)), float(ndtr(-deviations))
+        high, low = NormalDist().cdf(deviations), NormalDist().cdf(-deviations)
         one = np.ones_like(slope)
         # Without a position floor, the scatter is proportional to the size. The quantile is then
         # the same for all taps of an object and is computed only once.

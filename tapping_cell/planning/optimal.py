@@ -6,8 +6,8 @@ import math
 import threading
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy.special import ndtri
 
 from tapping_cell.planning.interface import Array, Taps
 from tapping_cell.planning.lookup import Indices, bracket
@@ -244,7 +244,7 @@ def expected_taps(
 def normal_nodes(count: int) -> Array:
     """Return the conditional means of N(0, 1) over ``count`` intervals of equal probability,
     (count,)."""
-    edges = ndtri(np.arange(1, count) / count)
+    edges = scipy.special.ndtri(np.arange(1, count) / count)
     density = np.exp(-0.5 * edges**2) / math.sqrt(2.0 * math.pi)
     return np.asarray(-count * np.diff(density, prepend=0.0, append=0.0))
 

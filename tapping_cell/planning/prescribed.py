@@ -14,8 +14,8 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy.spatial import ConvexHull, QhullError
 
 from tapping_cell.mechanics import Polygon, TapResult
 from tapping_cell.planning.errors import PlanningError
@@ -328,8 +328,8 @@ def between(points: ArrayLike, others: ArrayLike) -> BoolArray:
     """
     p, given = np.asarray(points, dtype=float), np.asarray(others, dtype=float).reshape(-1, 2)
     try:
-        sides = ConvexHull(given).equations if len(given) > 2 else None
-    except QhullError:
+        sides = scipy.spatial.ConvexHull(given).equations if len(given) > 2 else None
+    except scipy.spatial.QhullError:
         sides = None
     if sides is None:
         return np.zeros(p.shape[:-1], dtype=bool)

@@ -18,8 +18,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import ndtr
 
 Array = NDArray[np.float64]
 
@@ -152,8 +152,8 @@ def inside_probability(
         deviation = np.broadcast_to(deviation, (*shape, 2))[near]
         turn = np.broadcast_to(turn, shape)[near]
         inside = _inside_circle(left, axes, deviation, tolerance_position)
-        outside = ndtr((left[:, 2] - tolerance_angle) / turn)
-        outside += ndtr((-left[:, 2] - tolerance_angle) / turn)
+        outside = scipy.special.ndtr((left[:, 2] - tolerance_angle) / turn)
+        outside += scipy.special.ndtr((-left[:, 2] - tolerance_angle) / turn)
         probability[near] = np.clip(inside - outside, 0.0, 1.0)
     return probability
 
@@ -176,7 +176,9 @@ def _inside_circle(left: Array, axes: Array, deviation: Array, radius: float) ->
     along = (low + high) / 2 + (high - low) / 2 * np.cos(angle)
     half = np.sqrt(np.maximum(radius**2 - along**2, 0.0))
     middle, across = centre[:, 1:], deviation[:, 1:]
-    inner = ndtr((half - middle) / across) - ndtr((-half - middle) / across)
+    inner = scipy.special.ndtr((half - middle) / across) - scipy.special.ndtr(
+        (-half - middle) / across
+    )
     density = np.exp(-0.5 * ((along - first) / width) ** 2) / (math.sqrt(2.0 * math.pi) * width)
     step = (high - low) / 2 * np.sin(angle) * (angle[1] - angle[0])
     return np.asarray((inner * density * step).sum(axis=-1))

@@ -32,8 +32,8 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.special import ndtr, ndtri
 
 from tapping_cell.planning.interface import Array
 from tapping_cell.planning.lookup import bracket
@@ -271,11 +271,13 @@ def folded_weights(grid: Array, mean: Array, deviation: Array) -> tuple[Array, A
     def integral(z: Array) -> Array:
         u = (z - mean[..., None]) / deviation[..., None]
         density = np.exp(-0.5 * u * u) / math.sqrt(2.0 * math.pi)
-        return np.asarray(deviation[..., None] * (u * ndtr(u) + density))
+        return np.asarray(deviation[..., None] * (u * scipy.special.ndtr(u) + density))
 
     cumulative = integral(grid) + integral(-grid) - 2.0 * integral(np.zeros(1))
     edge = grid[box]
-    at_box = ndtr((edge - mean) / deviation) - ndtr((-edge - mean) / deviation)
+    at_box = scipy.special.ndtr((edge - mean) / deviation) - scipy.special.ndtr(
+        (-edge - mean) / deviation
+    )
     return interpolation_weights(grid, cumulative, box, at_box)
 
 
@@ -294,8 +296,8 @@ def _radial_weights(grid: Array, mean: Array, along: Array, aside: Array) -> tup
         for node in lateral:
             offset = (node * aside)[..., None]
             chord = np.sqrt(np.maximum(z * z - offset * offset, 0.0))
-            upper = ndtr((chord - mean[..., None]) / along[..., None])
-            total += upper - ndtr((-chord - mean[..., None]) / along[..., None])
+            upper = scipy.special.ndtr((chord - mean[..., None]) / along[..., None])
+            total += upper - scipy.special.ndtr((-chord - mean[..., None]) / along[..., None])
         return total / lateral.size
 
     points, shares = np.polynomial.legendre.leggauss(3)
@@ -309,6 +311,6 @@ def _radial_weights(grid: Array, mean: Array, along: Array, aside: Array) -> tup
 
 def _normal_quantiles(count: int) -> Array:
     """Return the conditional means of |N(0, 1)| over ``count`` intervals of equal probability."""
-    edges = ndtri(0.5 + 0.5 * np.arange(count) / count)
+    edges = scipy.special.ndtri(0.5 + 0.5 * np.arange(count) / count)
     density = np.append(np.exp(-0.5 * edges**2), 0.0) / math.sqrt(2.0 * math.pi)
     return np.asarray(2.0 * count * -np.diff(density))

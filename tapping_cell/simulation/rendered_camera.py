@@ -125,15 +125,15 @@ class _Drawable:
     def __init__(
         self,
         shown: SceneObject,
-        rays: NDArray[np.float64],
+        plane: Array32,
         pixel: float,
         blur: float,
     ) -> None:
-        """``rays``: intersections of the pixel rays with the plane of the object's top, (rows,
-        columns, 2)."""
+        """``plane``: x and y of the intersections of the pixel rays with the plane of the object's
+        top, (2, rows, columns)."""
         marker = shown.marker
         self.outline, self.height = shown.outline, marker.height
-        self.x, self.y = (np.ascontiguousarray(rays[..., i], dtype=np.float32) for i in (0, 1))
+        self.x, self.y = plane
         bright = isinstance(marker, ObjectOutline) and marker.brighter
         top = BRIGHT_TOP_REFLECTANCE if bright else TOP_REFLECTANCE
         self.wall = BRIGHT_WALL_REFLECTANCE if bright else WALL_REFLECTANCE
@@ -162,7 +162,9 @@ class SceneRenderer:
     ) -> None:
         self.view = View(camera, pose)
         self.settings = settings or SceneSettings()
-        grain, field, state = _random_fields(seed, camera.height, camera.width)
+        grain, self._noise, state = _random_fields(
+            seed, camera.height, camera.width, self.settings.noise
+        )
         self._random = np.random.default_rng()
         self._random.bit_generator.state = state
         # `blur` includes the averaging over a pixel, which is a blur with a variance of 1/12
@@ -179,14 +181,17 @@ class SceneRenderer:
         self._background16 = _fixed_point(background)
         self._background_image = background
         objects = (SceneObject(np.asarray(outline, dtype=float), marker), *others)
+        planes: dict[float, Array32] = {}
+        for shown in objects:
+            height = shown.marker.height
+            if height not in planes:
+                plane = np.moveaxis(self.view.rays_on_plane(rays, height), -1, 0)
+                planes[height] = np.ascontiguousarray(plane, dtype=np.float32)
         self._drawables = tuple(
-            _Drawable(shown, self.view.rays_on_plane(rays, shown.marker.height), pixel, blur)
-            for shown in objects
+            _Drawable(shown, planes[shown.marker.height], pixel, blur) for shown in objects
         )
         if self.settings.shadow_depth > 0.0:
             self._ground = ground.astype(np.float32)
-        scale = np.float32(self.settings.noise * _FRACTION)
-        self._noise = np.round(field * scale).astype(np.int16)
         # Objects at rest are drawn into one image, moving objects into a copy of it.
         self._still, self._still16 = background.copy(), self._background16.copy()
         self._still_key: tuple[tuple[float, ...], ...] = ()
@@ -475,14 +480,23 @@ def _local(pose: NDArray[np.float64], x: Array32, y: Array32) -> tuple[Array32, 
 
 
 @lru_cache(maxsize=2)
-def _random_fields(seed: int, height: int, width: int) -> tuple[Array32, Array32, dict[str, Any]]:
-    """Return the random fields of a scene: the table's grain and the noise pool, both with standard
-    deviation 1, and the state of the random generator afterwards. Scenes with the same seed share
-    them."""
+def _random_fields(
+    seed: int, height: int, width: int, noise: float
+) -> tuple[Array32, NDArray[np.int16], dict[str, Any]]:
+    """Return the random fields of a scene: the table's grain with standard deviation 1, the noise
+    pool (fixed point), and the state of the random generator afterwards. Scenes with the same seed
+    share them."""
     random = np.random.default_rng(seed)
     grain = random.standard_normal((64, 80)).astype(np.float32)
-    field = random.standard_normal((4, height + 192, width + 256), dtype=np.float32)
-    return grain, field, dict(random.bit_generator.state)
+    scale = np.float32(noise * _FRACTION)
+    pool = np.empty((4, height + 192, width + 256), dtype=np.int16)
+    for layer in pool:
+        np.rint(
+            random.standard_normal(layer.shape, dtype=np.float32) * scale,
+            out=layer,
+            casting="unsafe",
+        )
+    return grain, pool, dict(random.bit_generator.state)
 
 
 def _corners(pixels: NDArray[np.float64]) -> NDArray[np.int32]:
@@ -499,6 +513,12 @@ def _fill(image: NDArray[Any], corners: NDArray[np.int32], level: float, convex:
 
 def _fixed_point(image: Array32) -> NDArray[np.int16]:
     return np.round(image * np.float32(_FRACTION)).astype(np.int16)
+
+
+def forget_shared() -> None:
+    """Free what renderers of one process share: useful after the last renderer was made."""
+    for shared in (_ray_map, _random_fields, marker_layer):
+        shared.cache_clear()
 
 
 @lru_cache(maxsize=2)

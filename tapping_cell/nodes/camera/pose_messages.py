@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
+import scipy
 from geometry_msgs.msg import Pose as PoseMessage
-from scipy.spatial.transform import Rotation
 
 from tapping_cell.vision import CameraPose
 
@@ -14,7 +14,9 @@ def camera_to_message(camera: CameraPose) -> PoseMessage:
     message = PoseMessage()
     place, q = message.position, message.orientation
     place.x, place.y, place.z = (float(value) for value in camera.position)
-    q.x, q.y, q.z, q.w = (float(v) for v in Rotation.from_matrix(camera.rotation.T).as_quat())
+    q.x, q.y, q.z, q.w = (
+        float(v) for v in scipy.spatial.transform.Rotation.from_matrix(camera.rotation.T).as_quat()
+    )
     return message
 
 
@@ -25,5 +27,5 @@ def camera_from_message(message: PoseMessage) -> CameraPose:
         ValueError: the quaternion has zero norm.
     """
     place, q = message.position, message.orientation
-    rotation = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix().T
+    rotation = scipy.spatial.transform.Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix().T
     return CameraPose(rotation, -rotation @ np.array([place.x, place.y, place.z]))

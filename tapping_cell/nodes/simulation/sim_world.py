@@ -42,7 +42,7 @@ from tapping_cell.simulation.devices import SimulatedDevices
 from tapping_cell.simulation.fixed_devices import FixedDevices
 from tapping_cell.simulation.pacing import Pace
 from tapping_cell.simulation.pseudo_terminal import PortTakenError
-from tapping_cell.simulation.rendered_camera import SceneObject, SceneRenderer
+from tapping_cell.simulation.rendered_camera import SceneObject, SceneRenderer, forget_shared
 from tapping_cell.simulation.scene import make_renderer
 from tapping_cell.simulation.tabletop import Tabletop, TrueContact
 from tapping_cell.simulation.truth import TruthFile
@@ -139,6 +139,7 @@ class SimWorld(CellNode[Parameters]):
         # The first image takes much longer to render than the others. It is rendered before the
         # devices exist, because it would delay the emulated boards.
         renderer.render(list(world.poses.values()))
+        forget_shared()
         self._claim = claim(f"world/{key_of(self)}")
         if self._claim is None:
             raise NotReady(

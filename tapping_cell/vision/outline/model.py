@@ -12,8 +12,8 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.special import ndtr
 
 from tapping_cell.vision.camera import Array, Image
 from tapping_cell.vision.outline.pixels import Pixels
@@ -180,4 +180,4 @@ def _edge(
     columns[BLUR] = 0.5 * density * away / sigma**2
     columns[SMEAR] = columns[BLUR] * along
     columns[DOT_SIZE] = 0.0
-    return ndtr(-scaled), columns
+    return scipy.special.ndtr(-scaled), columns
