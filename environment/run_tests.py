@@ -3,22 +3,24 @@ results.
 
     python environment/run_tests.py [pytest options]
 
-The pure ring is limited by the processor and does not depend on time. The other rings run in real
-time, so nothing runs beside them: the rings of the drivers and of the nodes mostly wait and
-distribute their tests to several processes; tests of nodes that are marked ``alone`` process images
-at the camera's rate, and the graph tests run all nodes, so these run one after the other. Every
-ring runs even if an earlier ring failed. At the end, the processor time of each ring and the ten
-slowest tests are printed. The last line contains the counts of all rings.
+The pure ring is limited by the processor and does not depend on time, so it runs beside the others,
+with what they leave of the processor. The other rings run in real time, one after the other: the
+rings of the drivers and of the nodes mostly wait and distribute their tests to several processes;
+tests of nodes that are marked ``alone`` process images at the camera's rate, and the graph tests
+run all nodes. Every ring runs even if an earlier ring failed. At the end, the processor time of
+each ring and the ten slowest tests are printed. The last line contains the counts of all rings.
 """
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
-import resource
+import signal
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from collections import Counter
 from collections.abc import Iterable, Sequence
@@ -33,6 +35,8 @@ RINGS: dict[str, tuple[str, ...]] = {
     "nodes, alone": ("nodes", "-m", "alone"),
     "graph": ("graph",),
 }
+# The ring that runs beside the others.
+BESIDE = "pure"
 SLOWEST = 10
 NO_TESTS_COLLECTED = 5  # pytest's exit code
 # The words in pytest's closing line.
@@ -60,12 +64,23 @@ def started(ring: str, options: Sequence[str]) -> subprocess.Popen[str]:
     folder, *own = RINGS[ring]
     durations = f"--durations={SLOWEST}"
     command = [sys.executable, "-m", "pytest", f"test/{folder}", *own, durations, *options]
-    return subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True)
+    before = give_way if ring == BESIDE else None
+    return subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True, preexec_fn=before)
 
 
-def processor_time() -> float:
-    """Return the processor time in s of all child processes that have been waited for."""
-    usage = resource.getrusage(resource.RUSAGE_CHILDREN)
+def give_way() -> None:
+    """Let the processes of all other rings run first. Linux compares the niceness within a session,
+    and that of the session's group with the groups of other sessions."""
+    os.setsid()
+    os.nice(19)
+    with contextlib.suppress(OSError):
+        Path("/proc/self/autogroup").write_text("19", encoding="ascii")
+
+
+def ended(process: subprocess.Popen[str]) -> float:
+    """Wait for a process. Return the processor time of it and of its children, in s."""
+    _, status, usage = os.wait4(process.pid, 0)
+    process.returncode = os.waitstatus_to_exitcode(status)
     return usage.ru_utime + usage.ru_stime
 
 
@@ -90,21 +105,37 @@ def run_rings(options: Sequence[str]) -> tuple[list[str], Counter[str]]:
     failed: list[str] = []
     durations: list[str] = []
     slow: list[str] = []
-    for ring, (folder, *_) in RINGS.items():
-        if not (ROOT / "test" / folder).is_dir():
-            print(f"---- ring {ring}: there is no folder test/{folder}", flush=True)
-            failed.append(ring)
-            continue
-        began, before = time.monotonic(), processor_time()
-        with started(ring, options) as process:
-            assert process.stdout is not None
-            total += count_outcomes(ring, process.stdout, slow)
-        # A selection (-k, -m) may leave a ring without tests. Without a selection, each ring must
-        # have tests.
-        if process.returncode and not (process.returncode == NO_TESTS_COLLECTED and options):
-            failed.append(ring)
-        took, used = time.monotonic() - began, processor_time() - before
-        durations.append(f"{ring:<14} {took:6.0f} s, processor time {used:6.0f} s")
+    beside: list[str] = []
+    began = {BESIDE: time.monotonic()}
+    first = started(BESIDE, options)
+    try:
+        assert first.stdout is not None
+        reader = threading.Thread(target=beside.extend, args=(first.stdout,))
+        reader.start()
+        for ring in (*(ring for ring in RINGS if ring != BESIDE), BESIDE):
+            if not (ROOT / "test" / RINGS[ring][0]).is_dir():
+                print(f"---- ring {ring}: there is no folder test/{RINGS[ring][0]}", flush=True)
+                failed.append(ring)
+                continue
+            if ring == BESIDE:
+                reader.join()
+                process, lines = first, iter(beside)
+            else:
+                began[ring] = time.monotonic()
+                process = started(ring, options)
+                assert process.stdout is not None
+                lines = process.stdout
+            total += count_outcomes(ring, lines, slow)
+            used = ended(process)
+            # A selection (-k, -m) may leave a ring without tests. Without a selection, each ring
+            # must have tests.
+            if process.returncode and not (process.returncode == NO_TESTS_COLLECTED and options):
+                failed.append(ring)
+            took = time.monotonic() - began[ring]
+            durations.append(f"{ring:<14} {took:6.0f} s, processor time {used:6.0f} s")
+    finally:
+        if first.returncode is None:
+            os.killpg(first.pid, signal.SIGKILL)
     slow.sort(key=lambda line: -float(line.split("s ")[0]))
     print("---- slowest tests", *slow[:SLOWEST], sep="\n", flush=True)
     print("---- durations", *durations, sep="\n", flush=True)
