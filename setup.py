@@ -86,7 +86,11 @@ setup(
     },
     data_files=[] if PIP else SHARE_FILES,
     install_requires=LIBRARIES if PIP else ["setuptools"],
-    extras_require={"gym": ["gymnasium>=1.0"], "parquet": ["pandas", "pyarrow"]},
+    extras_require={
+        "gym": ["gymnasium>=1.0"],
+        "parquet": ["pandas", "pyarrow"],
+        "test": ["pytest"],  # without it, colcon runs no test and reports success
+    },
     zip_safe=False,
     cmdclass={"egg_info": EggInfo},
     entry_points={

@@ -13,6 +13,7 @@ import sys
 import time
 import traceback
 from collections.abc import Callable, Sequence
+from copy import copy
 from pathlib import Path
 from typing import Any, Generic, Protocol, TypeVar
 
@@ -27,6 +28,7 @@ from rclpy.lifecycle import LifecycleState as Previous
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
 from rclpy.timer import Timer
@@ -72,8 +74,16 @@ SIGNAL_S = 0.2
 LAST_RESULTS_S = 1.0
 """Time for which a node that shuts down sends the results of its actions, s. A result is sent in
 the third round of the executor, and each round handles all messages that have arrived."""
+NO_CLOCK = (
+    f"waits for a time on /clock, because {SIMULATED_TIME} is true; start what publishes it (a"
+    f" simulator, or ros2 bag play --clock), or set {SIMULATED_TIME} to false"
+)
+CLOCK_STANDS_S = 2.0
+"""Time without a change of /clock after which a node warns, s."""
 ROLE = "role"
 """Key of a node's role in /diagnostics."""
+FIXED_QUALITY = ("emergency_stop", "goal_pose", "joint_trajectory", "tap_command", "~/stop_state")
+"""Commands and stops, whose quality of service no parameter overrides."""
 PROFILE_VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
 PROFILES = {True: "fastdds_profile.xml", False: "fastdds_messages.xml"}
 """Fast DDS profile for nodes that transport images (True) and for other nodes (False)."""
@@ -107,6 +117,8 @@ class CellNode(LifecycleNode, Generic[Parameters]):
 
     def __init__(self, name: str, parameter_class: type[Parameters]) -> None:
         self._steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
+        self._qualities: set[str] = set()
+        """Names of the parameters that override the quality of service of a topic."""
         super().__init__(name, automatically_declare_parameters_from_overrides=True)
         self._parameter_class = parameter_class
         try:
@@ -119,6 +131,7 @@ class CellNode(LifecycleNode, Generic[Parameters]):
             LifecycleNode.destroy_node(self)
             raise
         self._simulated_time = self.get_parameter(SIMULATED_TIME).value
+        self._clock_seen = 0, time.monotonic()
         self.add_on_set_parameters_callback(self._on_set_parameters)
         self.role = name
         """Default name of the node. The default name does not change if ``__node:=`` renames the
@@ -141,16 +154,40 @@ class CellNode(LifecycleNode, Generic[Parameters]):
         self.create_timer(CONNECTION_CHECK_S, self._check_connections)
         self._autostart = self.create_timer(0.05, self._start) if self.settings.autostart else None
 
-    def create_publisher(self, *arguments: Any, **options: Any) -> Publisher:
+    def create_publisher(
+        self, msg_type: Any, topic: str, qos_profile: QoSProfile | int, **options: Any
+    ) -> Publisher:
         """Create a publisher without event callbacks. :class:`ConnectionCheck` replaces them."""
         options.setdefault("event_callbacks", PublisherEventCallbacks(use_default_callbacks=False))
-        return super().create_publisher(*arguments, **options)
+        profile = self._overridable(topic, qos_profile, "publisher", options)
+        return super().create_publisher(msg_type, topic, profile, **options)
 
-    def create_subscription(self, *arguments: Any, **options: Any) -> Subscription:
+    def create_subscription(
+        self,
+        msg_type: Any,
+        topic: str,
+        callback: Callable[[Any], None],
+        qos_profile: QoSProfile | int,
+        **options: Any,
+    ) -> Subscription:
         """Create a subscription without event callbacks. :class:`ConnectionCheck` replaces them."""
         events = SubscriptionEventCallbacks(use_default_callbacks=False)
         options.setdefault("event_callbacks", events)
-        return super().create_subscription(*arguments, **options)
+        profile = self._overridable(topic, qos_profile, "subscription", options)
+        return super().create_subscription(msg_type, topic, callback, profile, **options)
+
+    def _overridable(
+        self, topic: str, profile: QoSProfile | int, entity: str, options: dict[str, Any]
+    ) -> QoSProfile | int:
+        """Let parameters of rclpy override the quality of service of a topic that carries states or
+        images. Return the profile, a copy because rclpy changes it."""
+        if topic.startswith("/") or topic in FIXED_QUALITY:
+            return profile
+        policies = QoSOverridingOptions.with_default_policies()
+        options.setdefault("qos_overriding_options", policies)
+        stem = f"{parameters.QOS_OVERRIDES}{self.resolve_topic_name(topic)}.{entity}."
+        self._qualities.update(stem + policy.name.lower() for policy in policies.policy_kinds)
+        return QoSProfile(depth=profile) if isinstance(profile, int) else copy(profile)
 
     def create_timer(self, *arguments: Any, **options: Any) -> Timer:
         """Create a timer on the steady clock. A timer on ROS time would not expire for an hour
@@ -213,7 +250,10 @@ class CellNode(LifecycleNode, Generic[Parameters]):
         """Handle the life-cycle transition "configure"."""
         try:
             self.settings = parameters.read(self, self._parameter_class)
+            if self._simulated_time and self.get_clock().now().nanoseconds == 0:
+                raise NotReady(NO_CLOCK)
             self.configure()
+            parameters.refuse_unknown_qualities(self, self._qualities)
         except (ConfigurationError, NotReady) as error:
             if isinstance(error, NotReady):
                 self._complain(str(error), error.expected)
@@ -329,8 +369,24 @@ class CellNode(LifecycleNode, Generic[Parameters]):
         for sentence in self._connections.new_mismatches():
             self.get_logger().warning(sentence)
 
+    def _clock_defect(self) -> str:
+        """Return that /clock stands still; otherwise an empty string. Log that it went back."""
+        now, steady = self.get_clock().now().nanoseconds, time.monotonic()
+        last, since = self._clock_seen
+        if now != last:
+            self._clock_seen = now, steady
+        if now < last:
+            self.get_logger().warning(
+                f"/clock went back by {(last - now) / 1e9:.3f} s, for example because a bag began"
+                " again; messages with later stamps are not used any more"
+            )
+        stood = steady - since if now == last else 0.0
+        return "" if stood < CLOCK_STANDS_S else f"/clock has stood still for {stood:.0f} s"
+
     def _publish_diagnostics(self) -> None:
         level, sentence, values = self.health()
+        if self._simulated_time and (defect := self._clock_defect()):
+            level, sentence = max(level, DiagnosticStatus.WARN), defect
         if not self.configured:
             level, sentence = DiagnosticStatus.WARN, self._last_complaint or "not configured"
         elif self.stopped:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import typing
+from collections.abc import Collection
 from dataclasses import MISSING
 from typing import Any, TypeVar
 
@@ -19,7 +20,8 @@ from tapping_cell.configuration.schema import ConfigurationError, Limits, build
 
 Parameters = TypeVar("Parameters")
 
-FOREIGN_PREFIXES = ("use_sim_time", "qos_overrides.", "start_type_description_service")
+QOS_OVERRIDES = "qos_overrides."
+FOREIGN_PREFIXES = ("use_sim_time", QOS_OVERRIDES, "start_type_description_service")
 """Prefixes of the parameters that belong to rclpy itself."""
 
 
@@ -62,6 +64,24 @@ def declare(node: Node, kind: type[Parameters], changeable: tuple[str, ...] = ()
                 f"{node.get_name()}: parameter '{entry.name}' is {value!r}, but must be {wanted}: "
                 f"{limits.description}"
             ) from error
+
+
+def refuse_unknown_qualities(node: Node, known: Collection[str]) -> None:
+    """Refuse parameters for the quality of service that no topic of the node has. ``known``: their
+    full names. Call it when the node has created its publishers and subscriptions.
+
+    Raises:
+        ConfigurationError: the message contains the names that exist.
+    """
+    prefix = QOS_OVERRIDES.removesuffix(".")
+    for rest in node.get_parameters_by_prefix(prefix):
+        name = f"{QOS_OVERRIDES}{rest}"
+        if name not in known:
+            raise ConfigurationError(
+                f"{node.get_name()}: unknown parameter '{name}'; the quality of service of commands"
+                " and stops is fixed, and that of other topics is set by: "
+                + ", ".join(sorted(known))
+            )
 
 
 def read(node: Node, kind: type[Parameters]) -> Parameters:

@@ -10,9 +10,11 @@ from dataclasses import dataclass
 import pytest
 import rclpy
 from rclpy.parameter import Parameter
+from rclpy.qos import ReliabilityPolicy
+from std_msgs.msg import Bool
 
 from tapping_cell.configuration.schema import text
-from tapping_cell.nodes.cell_node import CellNode, run
+from tapping_cell.nodes.cell_node import LATCHED, CellNode, run
 
 pytestmark = pytest.mark.usefixtures("own_signals")
 
@@ -109,3 +111,19 @@ def test_a_node_that_is_ended_by_a_signal_sends_its_last_results(
     monkeypatch.setattr(Answering, "sent", [], raising=False)
     assert run(Answering, []) == 0
     assert Answering.sent == ["result"]
+
+
+def test_parameters_override_the_quality_of_service_of_states() -> None:
+    stem = "qos_overrides./states.publisher"
+    arguments = ["--ros-args", "-p", f"{stem}.depth:=7", "-p", f"{stem}.reliability:=best_effort"]
+    rclpy.init(args=arguments)
+    try:
+        node = CellNode("defective", Settings)
+        changed = node.create_publisher(Bool, "states", LATCHED).qos_profile
+        assert (changed.depth, changed.reliability) == (7, ReliabilityPolicy.BEST_EFFORT)
+        assert changed.durability == LATCHED.durability
+        # Other topics keep the common profile.
+        assert node.create_publisher(Bool, "others", LATCHED).qos_profile.depth == LATCHED.depth
+        node.destroy_node()
+    finally:
+        rclpy.shutdown()

@@ -80,3 +80,15 @@ def test_an_invalid_parameter_is_refused_with_value_and_range(
     for word in words:
         assert word in errors, errors
     assert "Traceback" not in errors
+
+
+@pytest.mark.parametrize(
+    "name", ["/camera/image_raw.subscription.durability", "/emergency_stop.subscription.depth"]
+)
+def test_an_unknown_quality_of_service_is_refused_with_those_that_exist(
+    name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    status, errors = run_node(capsys, "camera_pose", "-p", f"qos_overrides.{name}:=volatile")
+    assert status == 1
+    assert f"'qos_overrides.{name}'" in errors
+    assert "qos_overrides./camera/image_raw.subscription.reliability" in errors

@@ -1,6 +1,7 @@
 """The set-up: its refusals, pinned versions, and what is installed and declared."""
 
 import ast
+import importlib
 import importlib.util
 import os
 import re
@@ -538,3 +539,11 @@ def test_a_ring_is_run_by_pytest(tmp_path, monkeypatch, asserted):
     expected = "passed" if asserted else "failed"
     assert run_tests.counts_of(output.splitlines()[-1]) == {expected: 1}
     assert process.returncode == (0 if asserted else 1)
+
+
+def test_colcon_finds_the_tests():
+    # colcon reports success if a package declares no tests.
+    python = pytest.importorskip("colcon_core.task.python.test", reason="colcon is not installed")
+    setup = importlib.import_module("colcon_python_setup_py.package_identification.python_setup_py")
+    information = setup.get_setup_information(ROOT / "setup.py")
+    assert python.has_test_dependency(information, "pytest")

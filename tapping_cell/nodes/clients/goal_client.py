@@ -10,6 +10,7 @@ import math
 import time
 from dataclasses import dataclass
 
+from builtin_interfaces.msg import Time as TimeMessage
 from geometry_msgs.msg import PoseStamped
 from tapping_cell_msgs.action import PositionObject
 from tapping_cell_msgs.msg import (
@@ -125,10 +126,9 @@ class GoalClient(ActionFollower[Event]):
         ``probe``: start with a few of the smallest taps. ``ask``: every tap waits for confirmation.
 
         ``observed``: observation from which the goal was computed. The goal gets the stamp of this
-        observation.
+        observation; otherwise none, because the cell's time may be that of /clock.
         """
-        now = self.node.get_clock().now().to_msg()
-        stamp = observed.header.stamp if observed is not None else now
+        stamp = observed.header.stamp if observed is not None else TimeMessage()
         message = position_goal(goal, tolerance, stamp)
         message.probe, message.ask = probe, ask
         self._taps_received, self._phase, self._proposed = 0, "", 0

@@ -15,7 +15,6 @@ from dataclasses import dataclass
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import Point, PoseStamped
-from rclpy.duration import Duration
 from rclpy.time import Time
 from sensor_msgs.msg import CameraInfo, Image
 from std_srvs.srv import Trigger
@@ -102,7 +101,7 @@ class SimWorld(CellNode[Parameters]):
         self._lock = threading.Lock()
         self._late: deque[tuple[float, Image]] = deque()
         self._frames = 0
-        self._world_began = Time(nanoseconds=0)
+        self._world_began_ns = 0
         self._pace = Pace(1.0 / self.settings.frame_rate, self.settings.slow_motion)
         self._publisher = PicturePublisher(self, self.settings.compressed_quality)
         self._truth_publisher = self.create_publisher(PoseStamped, "ground_truth", 10)
@@ -224,8 +223,8 @@ class SimWorld(CellNode[Parameters]):
             # clocks. Most images of a slide are taken at other times and keep the previous offset.
             # A new offset for each of these images would shift their stamps relative to each other
             # if a task switch occurred between reading the two clocks.
-            self._world_began = Time(nanoseconds=clock - round(1e9 * now))
-        stamp = self._world_began + Duration(seconds=taken - camera.exposure / 2)
+            self._world_began_ns = clock - round(1e9 * now)
+        stamp = self._stamp_at(taken - camera.exposure / 2)
         self._publish_truth(middle, stamp)
         for contact in contacts:
             self._publish_contact(contact)
@@ -237,6 +236,11 @@ class SimWorld(CellNode[Parameters]):
         picture.header.stamp = stamp.to_msg()
         self._late.append((now + camera.latency, picture))
         self._send_late()
+
+    def _stamp_at(self, steady: float) -> Time:
+        """Return the ROS time that belongs to a steady time, s. A clock that has just begun at zero
+        has no earlier time."""
+        return Time(nanoseconds=max(0, self._world_began_ns + round(1e9 * steady)))
 
     def _poses_at(self, time: float) -> dict[str, Pose]:
         """Return the true poses of the objects, on the table or held by the arm."""
@@ -279,7 +283,7 @@ class SimWorld(CellNode[Parameters]):
             closing_speed=contact.closing_speed,
         )
         message.header.frame_id = "table"
-        message.header.stamp = (self._world_began + Duration(seconds=contact.time)).to_msg()
+        message.header.stamp = self._stamp_at(contact.time).to_msg()
         self._contact_publisher.publish(message)
 
     def _on_clear_button(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
