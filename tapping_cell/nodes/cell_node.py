@@ -234,11 +234,6 @@ class CellNode(LifecycleNode, Generic[Parameters]):
         port = port.replace("{namespace}", self.get_namespace().strip("/"))
         return Path(port.replace("{cell}", key_of(self))).expanduser()
 
-    def own_name(self, name: str) -> str:
-        """Return ``~/NAME`` as ``ROLE/NAME``, so that clients find the services and topics of a
-        renamed node; other names are returned unchanged."""
-        return f"{self.role}/{name[2:]}" if name.startswith("~/") else name
-
     # Life cycle
 
     @property

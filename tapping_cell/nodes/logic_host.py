@@ -84,9 +84,7 @@ class LogicHost(Generic[Machine]):
     def publishes(self, kind: type[Mirrored], topic: str, profile: Any) -> None:
         """Create a publisher under the topic name that the state machine uses."""
         name = ros_class(kind.ROS_TYPE)
-        self._publishers[topic] = self._node.create_publisher(
-            name, self._node.own_name(topic), profile
-        )
+        self._publishers[topic] = self._node.create_publisher(name, topic, profile)
 
     def offers(self, kind: Any, topic: str, profile: Any) -> None:
         """Create a publisher for a ROS type that has no dataclass in :mod:`tapping_cell.messages`.
@@ -114,8 +112,7 @@ class LogicHost(Generic[Machine]):
             mirror = from_ros(request, kind.Request)
             self.request(name, mirror, lambda response: respond(to_ros(response)))
 
-        own_name = self._node.own_name(name)
-        create_deferred_service(self._node, ros_class(kind.ROS_TYPE), own_name, serve)
+        create_deferred_service(self._node, ros_class(kind.ROS_TYPE), name, serve)
 
     def calls(self, kind: Any, name: str) -> None:
         """Create a client for a service that the state machine calls."""

@@ -43,16 +43,20 @@ def test_a_renamed_arm_is_listed_stopped_and_keeps_its_stop(
 
     port = {"port": tmp_path / "nowhere"}
     with bench(make, {"robot": port, "eye": {}}, NAMES) as b:
-        stops = b.listen(StopState, "scara_arm/stop_state", LATCHED)
+        stops = b.listen(StopState, "robot/stop_state", LATCHED)
         b.wait(lambda: rows(client)["scara_arm"]["name"] == "robot", "the arm is listed")
         b.wait(lambda: rows(client)["camera_pose"]["life"] == "active", "the camera is listed")
         names = [row["name"] for row in client.state()["nodes"]]
         assert "scara_arm" not in names and len(names) == len(set(names))
-        # The stop's topic, service and file are named after the executable, not after the node.
-        b.wait(lambda: client._stop["scara_arm"].service_is_ready(), "STOP finds the arm")
-        answered = client._call(client._stop["scara_arm"], "scara_arm")
+        b.wait(
+            lambda: client._private.client("scara_arm", "stop").srv_name == "/robot/stop", "STOP"
+        )
+        answered = client._call("scara_arm", "stop")
         assert answered[0], answered
         b.wait(lambda: stops and stops[-1].stopped, "the arm is stopped")
+        b.wait(lambda: "scara_arm" in client._view.stops, "the client knows the stop")
+        assert not b.probe.count_services("scara_arm/stop")
+        # The file is named after the executable, not after the node.
         kept = state_folder(key_of(arms[0])) / "stop-scara_arm.json"
         b.wait(kept.exists, "the stop is stored")
 

@@ -23,6 +23,7 @@ from tapping_cell.nodes.cell_node import LATCHED
 from tapping_cell.nodes.clients.client_node import ClientNode
 from tapping_cell.nodes.conversions import from_message
 from tapping_cell.nodes.message_conversion import from_ros
+from tapping_cell.nodes.private_names import PrivateNames
 from tapping_cell.se2 import Pose
 
 CALL_S = 1.0
@@ -61,7 +62,8 @@ class ActionFollower(ClientNode, Generic[Event]):
         """Last state of the planner since the goal was sent, with the time of its receipt."""
         self._watch: GoalWatch | None = None
         self._action = ActionClient(self.node, kind, action)
-        self._cancel_any = self.node.create_client(Trigger, "tap_planner/cancel")
+        self._private = PrivateNames(self.node)
+        self._private.client("tap_planner", "cancel")
         subscribe = self.node.create_subscription
         subscribe(ArmState, "arm_state", self._on_arm_state, LATCHED)
         subscribe(TapperState, "tapper_state", self.keeper("tapper_state"), LATCHED)
@@ -127,7 +129,12 @@ class ActionFollower(ClientNode, Generic[Event]):
         deadline = time.monotonic() + patience
         while time.monotonic() < deadline:
             try:
-                self.result_of(lambda: self._cancel_any.call_async(Trigger.Request()), CALL_S)
+                self.result_of(
+                    lambda: self._private.client("tap_planner", "cancel").call_async(
+                        Trigger.Request()
+                    ),
+                    CALL_S,
+                )
             except TimeoutError:
                 continue
             return True

@@ -7,18 +7,19 @@ is no separate executable for it.
 from __future__ import annotations
 
 import time
+from functools import partial
 from typing import Any
 
-from rclpy.client import Client
 from rclpy.task import Future
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
-from tapping_cell_msgs.msg import GoalReport, PlanState
+from tapping_cell_msgs.msg import GoalReport, PlanState, StopState
 
 from tapping_cell.nodes.cell_node import LATCHED
 from tapping_cell.nodes.clients.client_node import ClientNode
 from tapping_cell.nodes.page.cell_view import CellView, Mode
 from tapping_cell.nodes.page.node_watch import ACTORS, ARM, CAMERAS, NOT_YET, NodeWatch
+from tapping_cell.nodes.private_names import PrivateNames
 
 NAME = "cell_client"
 STOP_TIMEOUT_S = 2.0
@@ -45,11 +46,15 @@ class CellClient(ClientNode):
         subscribe(PlanState, "plan_state", view.on_plan, LATCHED)
         subscribe(GoalReport, "goal_report", view.on_report, LATCHED)
         subscribe(Bool, "emergency_stop", self._on_stop_level, LATCHED)
-        client = self.node.create_client
-        self._stop = {actor: client(Trigger, f"{actor}/stop") for actor in ACTORS}
-        self._clear = {actor: client(Trigger, f"{actor}/clear_fault") for actor in ACTORS}
-        self._home = client(Trigger, "scara_arm/home")
-        self._button = client(Trigger, "sim_world/press_clear_button")
+        # The clients exist from the start, because the discovery of a server takes time.
+        self._private = PrivateNames(self.node)
+        self._private.client(ARM, "home")
+        self._private.client("sim_world", "press_clear_button")
+        for actor in ACTORS:
+            for service in ("stop", "clear_fault"):
+                self._private.client(actor, service)
+            process = partial(view.on_stop, actor)
+            self._private.subscribe(StopState, actor, "stop_state", process, LATCHED)
         self._watch = NodeWatch(self.node)
 
     def _on_stop_level(self, message: Bool) -> None:
@@ -114,7 +119,8 @@ class CellClient(ClientNode):
         actors = self._actors()
 
         def ask() -> None:
-            for actor, client in self._stop.items():
+            for actor in ACTORS:
+                client = self._private.client(actor, "stop")
                 if actor not in asked and client.service_is_ready():
                     asked[actor] = client.call_async(Trigger.Request())
 
@@ -142,7 +148,7 @@ class CellClient(ClientNode):
         Raises:
             NotDone: a device refuses, with the message of that device.
         """
-        answers = [self._call(self._clear[actor], actor) for actor in self._actors()]
+        answers = [self._call(actor, "clear_fault") for actor in self._actors()]
         refused = [message for good, message in answers if not good]
         if refused:
             raise NotDone("; ".join(refused))
@@ -150,23 +156,24 @@ class CellClient(ClientNode):
 
     def home(self) -> str:
         """Start homing the arm. Raises NotDone with the message of the arm's node."""
-        return self._command(self._home, ARM)
+        return self._command(ARM, "home")
 
     def press_button(self) -> str:
         """Press the clear button of the simulated tapper. Raises NotDone if there is none."""
-        return self._command(self._button, "sim_world")
+        return self._command("sim_world", "press_clear_button")
 
-    def _command(self, client: Client, name: str) -> str:
-        good, message = self._call(client, name)
+    def _command(self, role: str, service: str) -> str:
+        good, message = self._call(role, service)
         if not good:
             raise NotDone(message)
         return message
 
-    def _call(self, client: Client, name: str, patience: float = 5.0) -> tuple[bool, str]:
+    def _call(self, role: str, service: str, patience: float = 5.0) -> tuple[bool, str]:
+        client = self.in_executor(lambda: self._private.client(role, service))
         if not client.wait_for_service(patience):
-            return False, f"{name} does not answer; is it running?"
+            return False, f"{role} does not answer; is it running?"
         try:
             answer = self.result_of(lambda: client.call_async(Trigger.Request()), patience)
         except TimeoutError:
-            return False, f"{name} did not answer within {patience:.0f} s"
-        return bool(answer.success), f"{name}: {answer.message}"
+            return False, f"{role} did not answer within {patience:.0f} s"
+        return bool(answer.success), f"{role}: {answer.message}"

@@ -6,7 +6,6 @@ import math
 import time
 from collections import deque
 from collections.abc import Callable
-from functools import partial
 from typing import Any, NamedTuple
 
 from tapping_cell_msgs.msg import (
@@ -26,7 +25,6 @@ from tapping_cell.logic.clock import Now
 from tapping_cell.logic.goal_watch import FINAL_STATES
 from tapping_cell.logic.poses import covariance_from_message
 from tapping_cell.nodes.conversions import from_message, seconds
-from tapping_cell.nodes.page.node_watch import ACTORS
 from tapping_cell.nodes.page.recovery import Recovery, Step
 from tapping_cell.planning.prescribed import METHOD as PRESCRIBED
 from tapping_cell.report.error_codes import hint
@@ -130,12 +128,11 @@ class CellView:
         return self._monitor.has_arm
 
     def device_topics(self) -> list[Topic]:
-        """Return the topics of camera_pose and of the devices."""
+        """Return the topics of camera_pose and of the devices, except for ``~/stop_state``."""
         return [
             (ObjectState, "object_state", lambda state: self._monitor.on_object(state, _now())),
             (ArmState, "arm_state", self._on_arm),
             (TapperState, "tapper_state", self._on_tapper),
-            *((StopState, f"{each}/stop_state", partial(self.on_stop, each)) for each in ACTORS),
         ]
 
     def _on_arm(self, state: ArmState) -> None:
@@ -151,7 +148,6 @@ class CellView:
     def forget(self) -> None:
         """Discard the received states when no page is open. The taps and the log are kept."""
         self._monitor = CellMonitor(SILENCE_LIMIT_S)
-        self.stops.clear()
         self._mode = ""
 
     def note(self, text: str, kind: str = "", at: float | None = None) -> None:

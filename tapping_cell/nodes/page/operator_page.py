@@ -13,6 +13,7 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +26,7 @@ from sensor_msgs.msg import Image
 from std_msgs.msg import Bool, String
 from std_srvs.srv import Trigger
 from tapping_cell_msgs.action import PositionObject
-from tapping_cell_msgs.msg import ErrorCode, GoalReport, PlanState
+from tapping_cell_msgs.msg import ErrorCode, GoalReport, PlanState, StopState
 from tapping_cell_msgs.srv import ConfirmTap
 
 from tapping_cell.configuration.cell import Cell
@@ -65,6 +66,7 @@ from tapping_cell.nodes.page.requests import (
 )
 from tapping_cell.nodes.page.runs import Runs
 from tapping_cell.nodes.page.stop_link import StopLink
+from tapping_cell.nodes.private_names import PrivateNames
 from tapping_cell.planning import planner_names
 from tapping_cell.vision.images import ImageRefused
 
@@ -135,12 +137,15 @@ class OperatorPage(CellNode[Parameters]):
         self._arrangements = Arrangements(self, self._view.note)
         self._preview = GoalPreview(self, self._arrangements)
         self._action = ActionClient(self, PositionObject, "position_object")
-        self._cancel_client = self.create_client(Trigger, "tap_planner/cancel")
-        self._clear_clients = {
-            actor: self.create_client(Trigger, f"{actor}/clear_fault") for actor in ACTORS
-        }
-        self._home_client = self.create_client(Trigger, "scara_arm/home")
-        self._button_client = self.create_client(Trigger, "sim_world/press_clear_button")
+        self._private = PrivateNames(self)
+        # The clients exist from the start, because the discovery of a server takes time.
+        self._private.client("tap_planner", "cancel")
+        self._private.client(ARM, "home")
+        self._private.client("sim_world", "press_clear_button")
+        for actor in ACTORS:
+            self._private.client(actor, "clear_fault")
+            process = partial(self._view.on_stop, actor)
+            self._private.subscribe(StopState, actor, "stop_state", process, LATCHED)
         self._enabling = self.create_publisher(Bool, enabling.TOPIC, COMMAND)
         self._confirm_client = self.create_client(ConfirmTap, "confirm_tap")
         self._planner = PlannerParameters(self)
@@ -510,7 +515,7 @@ class OperatorPage(CellNode[Parameters]):
             text = f"{response.message}{'; the arm withdraws' if withdraws else ''}"
             answer(answer_to("cancel", response.success, text))
 
-        client, content = self._cancel_client, Trigger.Request()
+        client, content = self._private.client("tap_planner", "cancel"), Trigger.Request()
         call_service(client, content, "cancel", "the planner", answer, on_reply)
         self._view.note(f"cancel pressed on the page ({who})")
 
@@ -526,17 +531,18 @@ class OperatorPage(CellNode[Parameters]):
             answer(answer_to("clear", False, STOP_NOT_RELEASED))
 
     def _clear_actors(self, answer: server.Answer) -> None:
-        for name, client in self._clear_clients.items():
+        for name in ACTORS:
             if name == ARM and not self._view.has_arm:
                 continue
+            client = self._private.client(name, "clear_fault")
             call_service(client, Trigger.Request(), "clear", name, answer)
 
     def _home(self, who: str, answer: server.Answer) -> None:
         self._view.note(f"homing requested on the page ({who})")
-        call_service(self._home_client, Trigger.Request(), "home", ARM, answer)
+        call_service(self._private.client(ARM, "home"), Trigger.Request(), "home", ARM, answer)
 
     def _press_button(self, _: str, answer: server.Answer) -> None:
-        client, name = self._button_client, "the clear button"
+        client, name = self._private.client("sim_world", "press_clear_button"), "the clear button"
         call_service(client, Trigger.Request(), "press_button", name, answer)
 
 

@@ -108,7 +108,7 @@ class SimWorld(CellNode[Parameters]):
         self._states_publisher = self.create_publisher(ObjectStates, "true_states", 10)
         self._contact_publisher = self.create_publisher(ObjectContact, "true_contacts", 10)
         self.create_service(ResetWorld, "reset_world", self._on_reset)
-        self.create_service(Trigger, self.own_name("~/press_clear_button"), self._on_clear_button)
+        self.create_service(Trigger, "~/press_clear_button", self._on_clear_button)
         self.create_timer(1.0 / self.settings.frame_rate, self._expose)
 
     def configure(self) -> None:
