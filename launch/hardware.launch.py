@@ -7,7 +7,7 @@ ARGUMENTS = {
     "camera": ("/dev/video0", "device, video file or folder of images"),
     "exposure": ("0.0", "exposure time in s; 0 leaves it to the device"),
 }
-CELL = {"cell_file": "cell_file"}
+CELL = {"cell_file": "cell_file", "frame_prefix": "frame_prefix"}
 FILES = {**CELL, "object_file": "object_file"}
 
 

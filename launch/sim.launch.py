@@ -9,7 +9,7 @@ ARGUMENTS = {
     "arm_port": ("", "path of the arm's simulated port; if empty, the one in the cell file"),
     "tapper_port": ("", "path of the tapper's simulated port; if empty, the one in the cell file"),
 }
-CELL = {"cell_file": "cell_file"}
+CELL = {"cell_file": "cell_file", "frame_prefix": "frame_prefix"}
 FILES = {**CELL, "object_file": "object_file"}
 WORLD = {name: name for name in ARGUMENTS}
 

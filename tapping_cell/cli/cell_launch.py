@@ -29,6 +29,10 @@ COMMON = {
     "namespace": ("", "namespace of every node, one for each cell"),
     "cell_file": ("", "cell file; if empty, the package's default"),
     "object_file": ("", "object file; if empty, the one named in the cell file"),
+    "frame_prefix": (
+        "",
+        "prefix of the names of all frames, such as left/; the cell then uses the global /tf",
+    ),
     "planner": ("", "planning method; if empty, the one named in the cell file"),
     "params_file": (
         "",
@@ -135,7 +139,7 @@ def _start(
             ros_arguments=(
                 ["--enclave", security.enclave_of(node.name)] if security.is_enabled() else []
             ),
-            remappings=_own_frames(given["namespace"]),
+            remappings=_own_frames(given),
             output="screen",
             respawn=node.respawn,
             respawn_delay=1.0,
@@ -146,12 +150,12 @@ def _start(
         for node in nodes
     ]
     if description:
-        started += _describe(given["namespace"], cell, shared)
+        started += _describe(given, cell, shared)
     return started
 
 
 def _describe(
-    namespace: str, cell: Cell, shared: list[dict[str, object] | str]
+    given: Mapping[str, str], cell: Cell, shared: list[dict[str, object] | str]
 ) -> list[Node | LogInfo]:
     """Return the node robot_state_publisher, or a log message with the reason why it is not
     started.
@@ -177,9 +181,12 @@ def _describe(
         Node(
             package="robot_state_publisher",
             executable="robot_state_publisher",
-            namespace=namespace,
-            parameters=[*shared, {"robot_description": text}],
-            remappings=_own_frames(namespace),
+            namespace=given["namespace"],
+            parameters=[
+                *shared,
+                {"robot_description": text, "frame_prefix": given["frame_prefix"]},
+            ],
+            remappings=_own_frames(given),
         )
     ]
 
@@ -192,7 +199,8 @@ def _has_state_publisher() -> bool:
     return True
 
 
-def _own_frames(namespace: str) -> list[tuple[str, str]]:
-    """Return remappings of /tf and /tf_static into the namespace. The remappings are needed because
-    all cells use the same frame names."""
-    return [("/tf", "tf"), ("/tf_static", "tf_static")] if namespace else []
+def _own_frames(given: Mapping[str, str]) -> list[tuple[str, str]]:
+    """Return remappings of /tf and /tf_static into the namespace. Without a prefix, all cells use
+    the same frame names."""
+    shared = not given["namespace"] or given["frame_prefix"]
+    return [] if shared else [("/tf", "tf"), ("/tf_static", "tf_static")]

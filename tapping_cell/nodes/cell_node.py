@@ -14,6 +14,7 @@ import time
 import traceback
 from collections.abc import Callable, Sequence
 from copy import copy
+from functools import wraps
 from pathlib import Path
 from typing import Any, Generic, Protocol, TypeVar
 
@@ -36,7 +37,7 @@ from std_msgs.msg import Bool
 
 from tapping_cell.configuration.files import shared_folder
 from tapping_cell.configuration.schema import ConfigurationError
-from tapping_cell.nodes import parameters, security
+from tapping_cell.nodes import frame_names, parameters, security
 from tapping_cell.nodes.cell_identity import key_of
 from tapping_cell.nodes.connection_check import ConnectionCheck
 from tapping_cell.nodes.memory import keep_memory, release_memory
@@ -48,6 +49,10 @@ class NodeParameters(Protocol):
     @property
     def autostart(self) -> bool:
         """Return whether the node configures and activates itself automatically."""
+
+    @property
+    def frame_prefix(self) -> str:
+        """Return the prefix of the names of the cell's frames."""
 
 
 Parameters = TypeVar("Parameters", bound=NodeParameters)
@@ -119,11 +124,13 @@ class CellNode(LifecycleNode, Generic[Parameters]):
         self._steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
         self._qualities: set[str] = set()
         """Names of the parameters that override the quality of service of a topic."""
+        self._frame_prefix = ""  # rclpy creates publishers before the parameters are known
         super().__init__(name, automatically_declare_parameters_from_overrides=True)
         self._parameter_class = parameter_class
         try:
             parameters.declare(self, parameter_class, self.changeable)
             self.settings = parameters.read(self, parameter_class)
+            self._frame_prefix = self.settings.frame_prefix
         except ConfigurationError:
             # Otherwise the garbage collector destroys the node at any later time. If another node
             # of the process is just being discovered then, Fast DDS can wait forever. What a
@@ -160,13 +167,23 @@ class CellNode(LifecycleNode, Generic[Parameters]):
         """Create a publisher without event callbacks. :class:`ConnectionCheck` replaces them."""
         options.setdefault("event_callbacks", PublisherEventCallbacks(use_default_callbacks=False))
         profile = self._overridable(topic, qos_profile, "publisher", options)
-        return super().create_publisher(msg_type, topic, profile, **options)
+        made = super().create_publisher(msg_type, topic, profile, **options)
+        if prefix := self._frame_prefix:
+            publish = made.publish
+
+            def publish_prefixed(message: Any) -> None:
+                if not isinstance(message, bytes):
+                    frame_names.add_prefix(message, prefix)
+                publish(message)
+
+            made.publish = publish_prefixed  # type: ignore[method-assign, assignment]
+        return made
 
     def create_subscription(
         self,
         msg_type: Any,
         topic: str,
-        callback: Callable[[Any], None],
+        callback: Callable[..., None],
         qos_profile: QoSProfile | int,
         **options: Any,
     ) -> Subscription:
@@ -174,7 +191,16 @@ class CellNode(LifecycleNode, Generic[Parameters]):
         events = SubscriptionEventCallbacks(use_default_callbacks=False)
         options.setdefault("event_callbacks", events)
         profile = self._overridable(topic, qos_profile, "subscription", options)
-        return super().create_subscription(msg_type, topic, callback, profile, **options)
+        process = callback
+        prefix = self._frame_prefix
+        if prefix and not topic.startswith("/") and not options.get("raw"):
+
+            @wraps(callback)  # rclpy reads from the signature whether information is passed too
+            def process(message: Any, *information: Any) -> None:
+                frame_names.accept_table(message, prefix)
+                callback(message, *information)
+
+        return super().create_subscription(msg_type, topic, process, profile, **options)
 
     def _overridable(
         self, topic: str, profile: QoSProfile | int, entity: str, options: dict[str, Any]

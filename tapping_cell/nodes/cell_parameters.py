@@ -7,6 +7,11 @@ from dataclasses import dataclass
 from tapping_cell.configuration.cell import Cell, load_cell
 from tapping_cell.configuration.schema import text
 
+FRAME_PREFIX = (
+    "prefix of the names of the cell's frames, such as left/, for several cells with one /tf"
+)
+"""Description of the parameter ``frame_prefix``."""
+
 
 @dataclass(frozen=True, slots=True)
 class CellParameters:
@@ -14,6 +19,7 @@ class CellParameters:
 
     autostart: bool = text("configure and activate automatically at start-up", default=True)
     cell_file: str = text("path of the cell file; if empty, the package's default", default="")
+    frame_prefix: str = text(FRAME_PREFIX, default="")
 
     def load_cell(self) -> Cell:
         """Read the cell file with its object file. Raises ConfigurationError."""

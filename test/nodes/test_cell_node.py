@@ -24,6 +24,7 @@ class Settings:
     """Parameters of the node under test."""
 
     autostart: bool = text("configure and activate automatically", default=True)
+    frame_prefix: str = text("prefix of frames", default="")
     method: str = text("method", default="a")
     ask: bool = text("ask", default=True)
 

@@ -45,7 +45,7 @@ def frames(monkeypatch: pytest.MonkeyPatch) -> tf_frames.TfFrames:
     )
     monkeypatch.setattr(tf_frames, "tf2_ros", replaced)
     node: Any = None
-    return tf_frames.TfFrames(node)
+    return tf_frames.TfFrames(node, "")
 
 
 def test_frames_with_unusual_names_are_listed_as_they_are(frames: tf_frames.TfFrames) -> None:

@@ -29,6 +29,8 @@ from tapping_cell.logic.planner import PlannerLogic, Scene
 from tapping_cell.logic.planner_settings import PlannerSettings
 from tapping_cell.nodes.cell_identity import key_of, state_folder
 from tapping_cell.nodes.cell_node import BEST_EFFORT_COMMAND, COMMAND, LATCHED, run
+from tapping_cell.nodes.cell_parameters import FRAME_PREFIX
+from tapping_cell.nodes.frame_names import accept_table, add_prefix
 from tapping_cell.nodes.logic_host import LogicHost, LogicNode
 from tapping_cell.nodes.message_conversion import from_ros, to_ros
 from tapping_cell.nodes.planner.markers import cell_markers
@@ -102,6 +104,7 @@ class Parameters(PlannerSettings):
 
     autostart: bool = text("configure and activate automatically at start-up", default=True)
     cell_file: str = text("path of the cell file; if empty, the package's default", default="")
+    frame_prefix: str = text(FRAME_PREFIX, default="")
     object_file: str = text(
         "path of the object file; if empty, the one named in the cell file", default=""
     )
@@ -158,7 +161,7 @@ class TapPlanner(LogicNode[Parameters]):
         host.subscribes(messages.TapperState, "tapper_state", LATCHED)
         host.serves(messages.ConfirmTap, "confirm_tap")
         host.serves(messages.Trigger, "~/cancel")
-        self._frames = open_frames(self)
+        self._frames = open_frames(self, self.settings.frame_prefix)
         self._actions = DeferredActionServer(
             self,
             {
@@ -248,16 +251,22 @@ class TapPlanner(LogicNode[Parameters]):
             nonlocal answered
             answered = True
             self._tokens.pop(goal, None)
-            self._actions.keep(handle, to_ros(result))
+            self._actions.keep(handle, self._to_wire(result))
             self.host.later(lambda: self._actions.finish(handle))
 
         def feedback(content: Any) -> None:
             if handle.is_active:
-                handle.publish_feedback(to_ros(content))
+                handle.publish_feedback(self._to_wire(content))
 
+        accept_table(handle.request, self.settings.frame_prefix)
         token = self.host.request(action, from_ros(handle.request, kind), answer, feedback)
         if not answered:
             self._tokens[goal] = token
+
+    def _to_wire(self, content: Any) -> Any:
+        message = to_ros(content)
+        add_prefix(message, self.settings.frame_prefix)
+        return message
 
     def _on_cancel(self, handle: ServerGoalHandle) -> CancelResponse:
         token = self._tokens.get(bytes(handle.goal_id.uuid))

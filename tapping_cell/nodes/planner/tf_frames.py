@@ -28,7 +28,8 @@ transform is used."""
 class TfFrames:
     """Buffer of the transforms on ``/tf`` and ``/tf_static``."""
 
-    def __init__(self, node: Node) -> None:
+    def __init__(self, node: Node, prefix: str) -> None:
+        self._table = prefix + TABLE
         self._buffer = tf2_ros.Buffer(cache_time=Duration(seconds=KEPT_S))
         self._listener = tf2_ros.TransformListener(self._buffer, node)
 
@@ -47,9 +48,9 @@ class TfFrames:
 
     def _lookup(self, frame: str, at: Time) -> TransformStamped:
         try:
-            return self._buffer.lookup_transform(TABLE, frame, at)
+            return self._buffer.lookup_transform(self._table, frame, at)
         except tf2_ros.ExtrapolationException:
-            newest = self._buffer.lookup_transform(TABLE, frame, Time())
+            newest = self._buffer.lookup_transform(self._table, frame, Time())
             behind = at.nanoseconds - Time.from_msg(newest.header.stamp).nanoseconds
             if not 0 <= behind <= 1e9 * NEWEST_S:
                 raise
@@ -60,8 +61,8 @@ class TfFrames:
         if frame in known:
             return f"the pose of the goal's frame '{frame}' at the goal's stamp is unknown: {error}"
         return (
-            f"the goal's frame_id is '{frame}', which is not connected to '{TABLE}'; use one of "
-            f"{', '.join((TABLE, *known))}"
+            f"the goal's frame_id is '{frame}', which is not connected to '{self._table}'; use one "
+            f"of {', '.join((self._table, *known))}"
         )
 
     def _known(self) -> list[str]:
@@ -69,11 +70,11 @@ class TfFrames:
         # This loader leaves every name a string, also a name that looks like a number.
         received = yaml.load(self._buffer.all_frames_as_yaml(), Loader=yaml.BaseLoader) or {}
         names = set(received) | {entry["parent"] for entry in received.values()}
-        connected = (n for n in names - {TABLE} if self._buffer.can_transform(TABLE, n, Time()))
-        return sorted(connected)
+        table = self._table
+        return sorted(n for n in names - {table} if self._buffer.can_transform(table, n, Time()))
 
 
-def open_frames(node: Node) -> Frames:
-    """Return the source of the frames on ``/tf``. If tf2_ros is not installed, return a source of
-    ``table`` only."""
-    return TableOnly() if tf2_ros is None else TfFrames(node)
+def open_frames(node: Node, prefix: str) -> Frames:
+    """Return the source of the frames on ``/tf``, where the cell's frames have this prefix. If
+    tf2_ros is not installed, return a source of ``table`` only."""
+    return TableOnly() if tf2_ros is None else TfFrames(node, prefix)
