@@ -23,6 +23,7 @@ class Parameters:
     """Parameters of the node."""
 
     autostart: bool = text("configure and activate automatically", default=True)
+    frame_prefix: str = text("prefix of frames", default="")
 
 
 def interrupted(message: String, **values: object) -> None:
