@@ -38,6 +38,7 @@ from tapping_cell.nodes import parameters, security
 from tapping_cell.nodes.cell_identity import key_of
 from tapping_cell.nodes.connection_check import ConnectionCheck
 from tapping_cell.nodes.memory import keep_memory
+from tapping_cell.nodes.service_manager import ALIVE, notify
 
 
 class NodeParameters(Protocol):
@@ -329,6 +330,7 @@ class CellNode(LifecycleNode, Generic[Parameters]):
             self.get_logger().warning(sentence)
 
     def _publish_diagnostics(self) -> None:
+        notify(ALIVE)
         level, sentence, values = self.health()
         if not self.configured:
             level, sentence = DiagnosticStatus.WARN, self._last_complaint or "not configured"
