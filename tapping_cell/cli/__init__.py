@@ -43,6 +43,8 @@ VERBS = {
     "calibrate": "calibrate camera, table, arm or tappers; print sheets",
     "report": "rewrite the reports of run folders, and compare runs",
     "check-config": "check configuration files without starting anything",
+    "deploy": "make a cell start with this computer, as a service of systemd",
+    "undeploy": "remove what deploy wrote",
     "doctor": "check the settings of arm and tapper without moving them",
     "conformance": "check whether a node of your own fulfils its duties in the cell",
     "urdf": "write the URDF of the arm or the fixed tappers, for RViz and Foxglove",

@@ -1,9 +1,10 @@
 """Start the node graph from a configuration, simulated or on hardware, and keep it running.
 
 Shows the condition that each node waits for, and "ready" once the cell would accept a goal. A node
-that ends unexpectedly, or does not respond for 20 s, is restarted, up to three times in two minutes. If the node of the arm,
-tapper, planner, camera or simulated world ends more often, all nodes are ended. Ctrl-C ends every
-node. Goals are sent from another terminal, or from the operator's page.
+that ends unexpectedly, or does not respond for 20 s, is restarted, up to three times in two
+minutes. If the node of the arm, tapper, planner, camera or simulated world ends more often, all
+nodes are ended. Ctrl-C ends every node. Goals are sent from another terminal, or from the
+operator's page.
 
     python -m tapping_cell up
     python -m tapping_cell up --page

@@ -32,7 +32,7 @@ ARROWS = {
         "vision.outline.shape",
         "configuration",
     },
-    "calibration": {"se2", "mechanics", "vision", "hardware", "configuration"},
+    "calibration": {"se2", "durable_file", "mechanics", "vision", "hardware", "configuration"},
     "tapping_env": {"se2", "planning", "configuration", "simulation"},
     "report": {"se2", "durable_file", "mechanics", "planning", "configuration"},
     "logic": {"se2", "messages", "hardware", "planning", "vision", "configuration"},
