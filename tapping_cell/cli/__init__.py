@@ -45,6 +45,8 @@ VERBS = {
     "check-config": "check configuration files without starting anything",
     "deploy": "make a cell start with this computer, as a service of systemd",
     "undeploy": "remove what deploy wrote",
+    "backup": "archive the configuration and calibrations of a deployed cell",
+    "restore": "restore an archive into a deployed cell",
     "doctor": "check the settings of arm and tapper without moving them",
     "conformance": "check whether a node of your own fulfils its duties in the cell",
     "urdf": "write the URDF of the arm or the fixed tappers, for RViz and Foxglove",
