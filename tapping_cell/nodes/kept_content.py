@@ -57,7 +57,7 @@ class KeptContent:
 
     def is_of_earlier_boot(self) -> bool:
         """Return whether the computer was started again since the content was stored."""
-        return (self._read() or {}).get(BOOT, boot_id()) != boot_id()
+        return bool((self._read() or {}).get(BOOT, boot_id()) != boot_id())
 
     def _read(self) -> dict[str, Any] | None:
         try:

@@ -30,7 +30,7 @@ class ArchiveError(ValueError):
 
 
 def collected(places: Places) -> dict[str, Path]:
-    """Return the files of a deployed cell that belong into an archive, by name in the archive.
+    """Return the text files of a deployed cell that belong into an archive, by name in it.
 
     Runs are too large. Stops, goals under way and the numbers of shots must never be set back.
     """
@@ -42,9 +42,17 @@ def collected(places: Places) -> dict[str, Path]:
     ):
         for file in sorted(root.rglob(pattern)):
             inside = file.relative_to(root)
-            if file.is_file() and str(inside) not in OF_THE_COMPUTER:
+            if file.is_file() and str(inside) not in OF_THE_COMPUTER and _is_text(file):
                 found[f"{folder}/{inside.as_posix()}"] = file
     return found
+
+
+def _is_text(file: Path) -> bool:
+    try:
+        file.read_text(encoding="utf-8")
+    except UnicodeDecodeError:
+        return False
+    return True
 
 
 def write_archive(path: Path, places: Places) -> int:
@@ -99,6 +107,8 @@ def read_archive(path: Path) -> tuple[dict[str, Any], dict[str, str]]:
             if sum(entry.file_size for entry in archive.infolist()) > LARGEST:
                 raise ArchiveError(f"{path} is too large for an archive of a cell")
             content = json.loads(archive.read(CONTENT))
+            if not isinstance(content, dict) or not isinstance(content.get("files"), dict):
+                raise ArchiveError(f"{path} has no list of its files")
             if content["format"] != FORMAT:
                 raise ArchiveError(
                     f"{path} has the format {content['format']}, but this version reads {FORMAT}: "

@@ -44,6 +44,7 @@ def test_a_backup_is_restored_on_another_computer(places: Places, tmp_path: Path
     archive = tmp_path / "a.zip"
     table = places.configuration / "table.yaml"
     table.write_text(table.read_text() + "# calibrated\n")
+    (places.configuration / "photo.png").write_bytes(b"\x89PNG\xff")
     assert verb("backup", places.root, str(archive)) == 0
     other = Places(root=tmp_path / "other")
     assert verb("restore", other.root, str(archive), "--yes") == 2, "nothing is deployed there"
@@ -55,11 +56,10 @@ def test_a_backup_is_restored_on_another_computer(places: Places, tmp_path: Path
     assert sorted(contents(other.state)) == [
         ".local/state/tapping_cell/gains/domain0/disk.json",
         ".ros/tapping_cell/domain0/named_goals.json",
+        "before_restore.zip",
     ], "no stop and no goal is restored"
     # The present state was archived, and can be restored in its turn.
-    assert (
-        verb("restore", other.root, str(other.configuration / "before_restore.zip"), "--yes") == 0
-    )
+    assert verb("restore", other.root, str(other.state / "before_restore.zip"), "--yes") == 0
     assert not (other.configuration / "table.yaml").read_text().endswith("# calibrated\n")
 
 
