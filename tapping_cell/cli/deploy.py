@@ -189,6 +189,7 @@ def planned(
     options = [
         *("--cell", str(configuration / "cell.yaml"), "--wait", "3600"),
         *("--runs", f"/var/lib/{name}/runs", "--logs", f"/var/log/{name}"),
+        *("--keep-free", "20"),
     ]
     adapters: dict[str, Adapter] = {}
     ports: dict[str, str] = {}

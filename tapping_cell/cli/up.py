@@ -107,6 +107,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--runs", type=Path, help="folder in which runs are recorded (default: runs)"
     )
+    parser.add_argument(
+        "--keep-free",
+        type=argument_types.within(0, 90),
+        metavar="PERCENT",
+        help="delete the oldest runs while less of the disk is free; starred runs are kept"
+        " (default: delete nothing)",
+    )
     parser.add_argument("--no-record", action="store_true", help="do not record runs")
     parser.add_argument(
         "--page",
@@ -145,7 +152,7 @@ def run(arguments: argparse.Namespace) -> int:
             refuse_unused(arguments, "only with --hardware", "camera")
             refuse_own_drivers(cell)
         if arguments.no_record:
-            refuse_unused(arguments, "only without --no-record", "runs")
+            refuse_unused(arguments, "only without --no-record", "runs", "keep_free")
         require_folder(arguments.runs, "--runs")
         require_folder(arguments.logs, "--logs")
         if arguments.page:
@@ -375,6 +382,8 @@ def node_parameters(arguments: argparse.Namespace, cell: Cell) -> dict[str, dict
         parameters["tap_planner"]["planner"] = arguments.planner
     if getattr(arguments, "runs", None):
         parameters[RECORDER]["folder"] = arguments.runs.resolve()
+    if getattr(arguments, "keep_free", None):
+        parameters[RECORDER]["keep_free"] = arguments.keep_free / 100
     if getattr(arguments, "page", None):
         address, port = arguments.page
         stop_port = port + STOP_PORT_OFFSET if 0 < port <= 65535 - STOP_PORT_OFFSET else 0
