@@ -86,7 +86,11 @@ setup(
     },
     data_files=[] if PIP else SHARE_FILES,
     install_requires=LIBRARIES if PIP else ["setuptools"],
-    extras_require={"gym": ["gymnasium>=1.0"], "parquet": ["pandas", "pyarrow"]},
+    extras_require={
+        "prometheus": ["prometheus_client"],
+        "gym": ["gymnasium>=1.0"],
+        "parquet": ["pandas", "pyarrow"],
+    },
     zip_safe=False,
     cmdclass={"egg_info": EggInfo},
     entry_points={

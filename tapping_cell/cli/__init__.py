@@ -47,6 +47,7 @@ VERBS = {
     "undeploy": "remove what deploy wrote",
     "backup": "archive the configuration and calibrations of a deployed cell",
     "restore": "restore an archive into a deployed cell",
+    "bundle": "write a zip file for a support request, without secrets",
     "doctor": "check the settings of arm and tapper without moving them",
     "conformance": "check whether a node of your own fulfils its duties in the cell",
     "urdf": "write the URDF of the arm or the fixed tappers, for RViz and Foxglove",

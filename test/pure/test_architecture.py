@@ -83,6 +83,7 @@ HOMES = {
     "tornado": {"nodes"},
     "argcomplete": {"cli"},
     "gymnasium": {"tapping_env"},
+    "prometheus_client": {"nodes"},
     "pyarrow": {"report"},
 }
 # These modules open real ports. The simulated world must never open a real port, so it may not

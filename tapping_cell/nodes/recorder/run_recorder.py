@@ -10,7 +10,6 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import shutil
 import sys
 import threading
 import time
@@ -43,6 +42,7 @@ from visualization_msgs.msg import MarkerArray
 
 from tapping_cell.configuration.schema import ConfigurationError, quantity, text
 from tapping_cell.logic.goal_watch import FINAL_STATES
+from tapping_cell.nodes import computer
 from tapping_cell.nodes.camera import images
 from tapping_cell.nodes.cell_node import LATCHED, CellNode, run
 from tapping_cell.nodes.cell_parameters import ObjectParameters
@@ -355,10 +355,10 @@ class RunRecorder(CellNode[Parameters]):
             values["error code"] = ErrorCode.OTHER_VERSION
             return DiagnosticStatus.WARN, warning, values
         least = MEGABYTE * self.settings.least_free
-        # A folder that is missing yet is on the disk of its parent.
+        if (degrees := computer.temperature()) is not None:
+            values["temperature (degrees C)"] = degrees
         with contextlib.suppress(OSError):
-            folders = (self._run_parent, *self._run_parent.parents)
-            free = shutil.disk_usage(next(one for one in folders if one.exists())).free
+            free = computer.free_disk_space(self._run_parent)
             values["free disk space (MB)"] = free // MEGABYTE
             if free < WARNING_FACTOR * least:
                 values["error code"] = ErrorCode.RECORDING_FAILED
