@@ -47,9 +47,11 @@ def test_goals_and_diagnostics_are_counted(served: tuple[Bench, str]) -> None:
     assert made.probe is not None
     reports = made.probe.create_publisher(GoalReport, "goal_report", LATCHED)
     diagnostics = made.probe.create_publisher(DiagnosticArray, "/diagnostics", 10)
+    made.wait(lambda: reports.get_subscription_count() == 1, "the page listens")
     report = GoalReport(state=PlanState.REACHED, taps=3, residual_distance=0.00025)
     report.header.stamp = made.probe.get_clock().now().to_msg()
     reports.publish(report)
+    time.sleep(0.5)  # the topic keeps one message
     late = GoalReport(state=PlanState.FAILED, taps=9, error_code=103)
     reports.publish(late)  # its stamp is that of 1970
     values = [KeyValue(key="rate", value="29.5"), KeyValue(key="port", value="/dev/x")]

@@ -28,8 +28,9 @@ def test_a_bundle_of_a_deployed_cell(tmp_path: Path) -> None:
     assert main(["bundle", str(file), "--root", str(places.root)]) == 0
     with zipfile.ZipFile(file) as bundle:
         texts = {name: bundle.read(name).decode() for name in bundle.namelist()}
-    assert {"state.json", "check_config.json", "service/cell.env", "configuration/cell.yaml",
-            "runs/2026-11-29_to_0_0_0/summary.json", "logs/operator_page.log"} <= set(texts)  # fmt: skip
+    for name in ("state.json", "check_config.json", "service/cell.env", "configuration/cell.yaml"):
+        assert name in texts
+    assert "runs/2026-11-29_to_0_0_0/summary.json" in texts
     assert not any("bag.mcap" in name for name in texts)
     assert "aB3-x_Y9" not in "".join(texts.values()) and "token=REDACTED" in "".join(texts.values())
     assert len(texts["logs/operator_page.log"]) < 600_000
