@@ -119,8 +119,6 @@ def unit_text(places: Places, *, hardware: bool, network: bool, links: tuple[str
     order = [f"After={' '.join([*after, *devices])}"]
     if wants:
         order.append(f"Wants={' '.join(wants)}")
-    allowed = ("char-ttyUSB", "char-ttyACM", "char-ttyS", "char-video4linux")
-    rules = ["DevicePolicy=closed", *(f"DeviceAllow={kind} rw" for kind in allowed)]
     return UNIT.format(
         unit=places.unit,
         name=places.name,
@@ -130,7 +128,9 @@ def unit_text(places: Places, *, hardware: bool, network: bool, links: tuple[str
         python=sys.executable,
         # Another process always finds a quarter of a processor: a login, or `systemctl stop`.
         quota=100 * (os.cpu_count() or 1) - 25,
-        devices="\n".join(rules) if hardware else "PrivateDevices=yes",
+        # A list of allowed kinds of devices would exclude those whose kernel module is loaded after
+        # the start of the unit, such as an adapter that is plugged in later.
+        devices="SupplementaryGroups=dialout video" if hardware else "PrivateDevices=yes",
     )
 
 
