@@ -36,7 +36,9 @@ def run(arguments: argparse.Namespace) -> int:
         if arguments.json:
             print(json.dumps({"contents": rows}, indent=2))
         else:
-            print("\n".join(f"{row['content']}: {row['records']}" for row in rows))
+            print(
+                "\n".join(f"{row['content']}, by {row['owner']}: {row['records']}" for row in rows)
+            )
         return ExitStatus.DONE
     restored = undo(path, _read)
     if arguments.json:
