@@ -87,6 +87,7 @@ setup(
     data_files=[] if PIP else SHARE_FILES,
     install_requires=LIBRARIES if PIP else ["setuptools"],
     extras_require={
+        "prometheus": ["prometheus_client"],
         "gym": ["gymnasium>=1.0"],
         "parquet": ["pandas", "pyarrow"],
         "test": ["pytest"],  # without it, colcon runs no test and reports success

@@ -7,6 +7,7 @@ better one.
    same command made both records. If the old residual or uncertainty is smaller, the file is
    replaced only if ``accept_worse`` is given. A file without a record of this command (written by
    hand, for example) cannot be compared, and ``force`` replaces it.
+4. The last ten replaced files are kept in the folder ``.history`` beside the file.
 
 Before the new text replaces the old file, the nodes' reader checks it. A text that this reader
 rejects is never written.
@@ -14,19 +15,26 @@ rejects is never written.
 
 from __future__ import annotations
 
+import glob
 import hashlib
 import os
+import shutil
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import datetime, timezone
 from pathlib import Path
 
 from tapping_cell.configuration.provenance import Provenance, read_provenance
 from tapping_cell.configuration.schema import ConfigurationError
+from tapping_cell.durable_file import part_of, replace_text, sync_folder
 
 _SLACK = 1.01
 """Ratio of the new to the old value above which the new file counts as worse. The limit is above 1
 because values in files are rounded and repeated fits differ slightly."""
+HISTORY = ".history"
+"""Folder of the earlier contents of calibrated files."""
+KEPT = 10
+"""Number of earlier contents that are kept of a file."""
 
 
 class KeptFile(ValueError):
@@ -109,10 +117,12 @@ def write_kept(output: Output, text: str, new: Provenance, read: Callable[[Path]
     refuse_better(output, new)
     draft = output.path.with_name(f".{output.path.name}.{os.getpid()}")
     try:
-        draft.write_text(text, encoding="utf-8")
+        replace_text(draft, text)
         read(draft)
         if output.force:
+            keep_earlier(output.path)
             os.replace(draft, output.path)
+            sync_folder(output.path.parent)
         else:
             _move_to_new(draft, output.path)
     except FileExistsError as error:
@@ -122,6 +132,56 @@ def write_kept(output: Output, text: str, new: Provenance, read: Callable[[Path]
         ) from error
     finally:
         draft.unlink(missing_ok=True)
+
+
+def earlier_files(path: Path) -> list[Path]:
+    """Return the kept earlier contents of a file, the latest one first."""
+    return sorted((path.parent / HISTORY).glob(f"{glob.escape(path.name)}.*Z"), reverse=True)
+
+
+def keep_earlier(path: Path) -> None:
+    """Copy a file that is about to be replaced to the history, and delete the oldest copies.
+
+    Raises:
+        OSError: the copy cannot be written.
+    """
+    if not path.exists():
+        return
+    (path.parent / HISTORY).mkdir(exist_ok=True)
+    when = datetime.now(timezone.utc).strftime("%Y-%m-%dT%H-%M-%S.%fZ")
+    copy = path.parent / HISTORY / f"{path.name}.{when}"
+    # The copy gets its name when it is complete. The time of the copied file is kept.
+    part = part_of(copy)
+    shutil.copy2(path, part)
+    part.replace(copy)
+    for old in earlier_files(path)[KEPT:]:
+        old.unlink()
+
+
+def undo(path: Path, read: Callable[[Path], object]) -> Path:
+    """Give a file its latest earlier content, and return the path that this content had. The
+    present content becomes ``NAME.undone`` in the history.
+
+    Raises:
+        KeptFile: no earlier content is kept.
+        ConfigurationError: ``read`` rejects the earlier content.
+        OSError: the file cannot be written.
+    """
+    earlier = earlier_files(path)
+    if not earlier:
+        raise KeptFile(f"{path}: no earlier content is kept in {path.parent / HISTORY}")
+    draft = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        replace_text(draft, earlier[0].read_text(encoding="utf-8"))
+        read(draft)
+        if path.exists():
+            shutil.copy2(path, path.parent / HISTORY / f"{path.name}.undone")
+        os.replace(draft, path)
+        sync_folder(path.parent)
+    finally:
+        draft.unlink(missing_ok=True)
+    earlier[0].unlink()
+    return earlier[0]
 
 
 def _move_to_new(draft: Path, path: Path) -> None:

@@ -49,6 +49,7 @@ SUBVERBS = {
     "mounts": "line of travel and speed of each fixed tapper, from single taps",
     "tapper": "speed of the striker at each energy, from the distances that objects travel",
     "photographs": "rendered photographs of a target or table, for testing the other sub-verbs",
+    "undo": "take back the last calibration that replaced a file",
     "print": "true-to-scale sheets: targets, reference markers, object markers",
 }
 

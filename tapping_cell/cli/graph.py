@@ -223,6 +223,12 @@ class Graph:
         old.stream.close()
         self._children[index] = self._start(name)
 
+    def kill(self, name: str) -> None:
+        """Kill the process of a node that does not respond."""
+        for child in self._children:
+            if child.name == name:
+                _signal_group(child, signal.SIGKILL)
+
     @property
     def process_ids(self) -> dict[str, int]:
         """Process id of each node."""

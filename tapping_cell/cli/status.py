@@ -8,11 +8,15 @@ from __future__ import annotations
 
 import argparse
 import json
+from pathlib import Path
 
 from rich.console import Console
 
 from tapping_cell.cli import cell_arguments, cell_words
+from tapping_cell.cli.deployment.places import Places
+from tapping_cell.cli.deployment.service_state import service_state
 from tapping_cell.cli.errors import ExitStatus
+from tapping_cell.nodes import computer
 from tapping_cell.nodes.clients.cell_client import CellClient
 
 
@@ -28,6 +32,9 @@ def run(arguments: argparse.Namespace, client: CellClient) -> int:
     respond."""
     state = client.wait_for_cell(cell_arguments.TIMEOUT_S)
     if arguments.json:
+        places = Places()
+        folder = places.runs if places.manifest() is not None else Path.cwd()
+        state |= {"computer": computer.state(folder), "service": service_state(places)}
         print(json.dumps(state, indent=2, allow_nan=False))
     else:
         Console(highlight=False, soft_wrap=True).print(cell_words.overview(state))

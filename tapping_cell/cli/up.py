@@ -1,9 +1,10 @@
 """Start the node graph from a configuration, simulated or on hardware, and keep it running.
 
 Shows the condition that each node waits for, and "ready" once the cell would accept a goal. A node
-that ends unexpectedly is restarted, up to three times in two minutes. If the node of the arm,
-tapper, planner, camera or simulated world ends more often, all nodes are ended. Ctrl-C ends every
-node. Goals are sent from another terminal, or from the operator's page.
+that ends unexpectedly, or does not respond for 20 s, is restarted, up to three times in two
+minutes. If the node of the arm, tapper, planner, camera or simulated world ends more often, all
+nodes are ended. Ctrl-C ends every node. Goals are sent from another terminal, or from the
+operator's page.
 
     python -m tapping_cell up
     python -m tapping_cell up --page
@@ -14,6 +15,7 @@ node. Goals are sent from another terminal, or from the operator's page.
 from __future__ import annotations
 
 import argparse
+import math
 import re
 import time
 from pathlib import Path
@@ -52,11 +54,14 @@ from tapping_cell.configuration.conflicts import port_errors
 from tapping_cell.configuration.schema import ConfigurationError, read_yaml
 from tapping_cell.nodes.cell_identity import cell_key
 from tapping_cell.nodes.clients.cell_client import CellClient
+from tapping_cell.nodes.service_manager import ALIVE, SOCKET_VARIABLE, Notifications, notify
 from tapping_cell.planning import UnknownPlannerError, require_planner
 
 STOP_PORT_OFFSET = 1000
 """Difference between the port of STOP and the port of the page."""
 CHECK_PERIOD_S = 0.2
+REPORT_PERIOD_S = 1.0
+"""Period of the reports to systemd's watchdog."""
 CAMERA = "/dev/video0"
 """Default camera of a cell on hardware."""
 READY_TIMEOUT_S = 60.0
@@ -102,6 +107,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--runs", type=Path, help="folder in which runs are recorded (default: runs)"
     )
+    parser.add_argument(
+        "--keep-free",
+        type=argument_types.within(0, 90),
+        metavar="PERCENT",
+        help="delete the oldest runs while less of the disk is free; starred runs are kept"
+        " (default: delete nothing)",
+    )
     parser.add_argument("--no-record", action="store_true", help="do not record runs")
     parser.add_argument(
         "--page",
@@ -140,7 +152,7 @@ def run(arguments: argparse.Namespace) -> int:
             refuse_unused(arguments, "only with --hardware", "camera")
             refuse_own_drivers(cell)
         if arguments.no_record:
-            refuse_unused(arguments, "only without --no-record", "runs")
+            refuse_unused(arguments, "only without --no-record", "runs", "keep_free")
         require_folder(arguments.runs, "--runs")
         require_folder(arguments.logs, "--logs")
         if arguments.page:
@@ -161,17 +173,21 @@ def run(arguments: argparse.Namespace) -> int:
     if not arguments.hardware and not has_simulated_ports(cell):
         # The cell file of real hardware names real ports. The simulated devices must not use them.
         parameters = with_own_ports(parameters)
+    notifications = Notifications()
     graph = Graph(
         nodes,
         parameters,
         logs.resolve(),
+        {SOCKET_VARIABLE: notifications.address},
         namespace=arguments.namespace,
         parameter_file=arguments.params.resolve() if arguments.params else None,
     )
     try:
         with graph:
             console.print(f"logs in {logs}; Ctrl-C ends every node", markup=False)
-            _Running(graph, nodes, arguments, logs, console).stay()
+            supervisor = Supervisor(graph, notifications)
+            notify("READY=1\nSTATUS=starting")
+            _Running(graph, supervisor, nodes, arguments, logs, console).stay()
     except GraphError as error:
         print_error(str(error))
         return ExitStatus.FAILED
@@ -186,6 +202,7 @@ class _Running:
     def __init__(
         self,
         graph: Graph,
+        supervisor: Supervisor,
         nodes: tuple[str, ...],
         arguments: argparse.Namespace,
         logs: Path,
@@ -198,7 +215,8 @@ class _Running:
         # Earlier log entries name the page's address in an earlier run and are ignored.
         self._page_seen = self._page_log.stat().st_size if self._page_log.exists() else 0
         self._console = console
-        self._supervisor = Supervisor(graph)
+        self._supervisor = supervisor
+        self._reported = -math.inf
 
     def stay(self) -> None:
         """Wait until the cell is ready, then restart nodes that end. Never returns.
@@ -213,7 +231,11 @@ class _Running:
 
     def _check(self) -> bool:
         """Restart nodes that have ended. Return whether any had ended."""
-        incidents = self._supervisor.check(time.monotonic())
+        now = time.monotonic()
+        incidents = self._supervisor.check(now)
+        if now - self._reported >= REPORT_PERIOD_S:
+            self._reported = now
+            notify(ALIVE)
         for incident in incidents:
             self._console.print(f"[red]{incident.node}[/]: {escape(incident.sentence)}")
         return bool(incidents)
@@ -222,7 +244,7 @@ class _Running:
         """Show each node's state until the cell accepts a goal."""
         deadline = time.monotonic() + self._arguments.wait
         printed: dict[str, str] = {}
-        asked = ""
+        asked = status = ""
         with (
             CellClient(self._arguments.namespace) as client,
             Live(console=self._console, refresh_per_second=5, transient=True) as live,
@@ -240,6 +262,9 @@ class _Running:
                     printed[line.node] = news
                 if start.ready:
                     break
+                if (waits := start.person or start.reason) != status:
+                    status = waits
+                    notify(f"STATUS=not ready: {waits}")
                 if start.person != asked and start.person:
                     self._console.print(f"[yellow]started, not ready[/]: {escape(start.person)}")
                     self._print_page()
@@ -251,6 +276,7 @@ class _Running:
                         f"the cell was not ready after {self._arguments.wait:.0f} s: {start.reason}"
                     )
                 time.sleep(CHECK_PERIOD_S)
+        notify("STATUS=ready: the cell accepts goals")
         self._console.print("[green]ready[/]: the cell accepts goals")
         self._print_page()
 
@@ -356,6 +382,8 @@ def node_parameters(arguments: argparse.Namespace, cell: Cell) -> dict[str, dict
         parameters["tap_planner"]["planner"] = arguments.planner
     if getattr(arguments, "runs", None):
         parameters[RECORDER]["folder"] = arguments.runs.resolve()
+    if getattr(arguments, "keep_free", None):
+        parameters[RECORDER]["keep_free"] = arguments.keep_free / 100
     if getattr(arguments, "page", None):
         address, port = arguments.page
         stop_port = port + STOP_PORT_OFFSET if 0 < port <= 65535 - STOP_PORT_OFFSET else 0

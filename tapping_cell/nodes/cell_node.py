@@ -41,6 +41,7 @@ from tapping_cell.nodes import frame_names, parameters, security
 from tapping_cell.nodes.cell_identity import key_of
 from tapping_cell.nodes.connection_check import ConnectionCheck
 from tapping_cell.nodes.memory import keep_memory, release_memory
+from tapping_cell.nodes.service_manager import ALIVE, notify
 
 
 class NodeParameters(Protocol):
@@ -405,6 +406,7 @@ class CellNode(LifecycleNode, Generic[Parameters]):
         return "" if stood < CLOCK_STANDS_S else f"/clock has stood still for {stood:.0f} s"
 
     def _publish_diagnostics(self) -> None:
+        notify(ALIVE)
         level, sentence, values = self.health()
         if self._simulated_time and (defect := self._clock_defect()):
             level, sentence = max(level, DiagnosticStatus.WARN), defect

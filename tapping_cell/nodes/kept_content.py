@@ -11,6 +11,17 @@ from typing import Any
 from tapping_cell.durable_file import part_of, replace_text
 from tapping_cell.logic.effects import Content
 
+BOOT = "boot"
+"""Key of the start of the computer in which the content was stored."""
+
+
+def boot_id() -> str:
+    """Return an id of this start of the computer; empty if the system has none."""
+    try:
+        return Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
+    except OSError:
+        return ""
+
 
 class KeptContent:
     """One JSON file. The age of the file is the time since its last change or touch."""
@@ -25,7 +36,7 @@ class KeptContent:
             self._path.unlink(missing_ok=True)
             return
         self._path.parent.mkdir(parents=True, exist_ok=True)
-        replace_text(self._path, json.dumps(dict(content)))
+        replace_text(self._path, json.dumps({**content, BOOT: boot_id()}))
 
     def require_writable(self) -> None:
         """Raise OSError if content could not be stored."""
@@ -41,6 +52,14 @@ class KeptContent:
 
     def recall(self) -> Content | None:
         """Return the stored content: None if there is no file, empty if it is unreadable."""
+        found = self._read()
+        return found and {key: value for key, value in found.items() if key != BOOT}
+
+    def is_of_earlier_boot(self) -> bool:
+        """Return whether the computer was started again since the content was stored."""
+        return bool((self._read() or {}).get(BOOT, boot_id()) != boot_id())
+
+    def _read(self) -> dict[str, Any] | None:
         try:
             found: Any = json.loads(self._path.read_text(encoding="utf-8"))
         except (FileNotFoundError, NotADirectoryError):

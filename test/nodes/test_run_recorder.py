@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import json
+import shutil
 import signal
 import subprocess
 import sys
@@ -40,6 +41,7 @@ from tapping_cell.nodes.conversions import to_message
 from tapping_cell.nodes.page.runs import Runs
 from tapping_cell.nodes.recorder import run_recorder
 from tapping_cell.nodes.recorder.recording import CannotRecord, Recording
+from tapping_cell.nodes.recorder.retention import REFUSALS
 from tapping_cell.nodes.recorder.run_recorder import RunRecorder
 from tapping_cell.report.bag import read_bag
 from tapping_cell.report.run import Run
@@ -74,7 +76,7 @@ class FakeCell:
             lambda: all(topic.get_subscription_count() == 1 for topic in listened),
             "the recorder listens",
         )
-        made.wait(lambda: self.health()[0] == DiagnosticStatus.OK, "the recorder is active")
+        made.wait(lambda: self.health()[1] not in ("", "not configured"), "the recorder is active")
 
     def health(self) -> tuple[bytes, str]:
         """Return the level and the message of the recorder's last diagnostics."""
@@ -308,7 +310,7 @@ def test_refused_replaced_and_lost_goals_are_reported_correctly(
     monkeypatch.setattr(run_recorder, "SILENCE_S", 5.0)
     with cell(tmp_path) as fake:
         off = fake.goal(Pose(0.9, 0.0, 0.0))
-        for _ in range(3):  # a refusal that is published repeatedly makes only one folder
+        for _ in range(3):  # a refusal that is published repeatedly makes only one entry
             fake.report(
                 off,
                 PlanState.FAILED,
@@ -317,7 +319,8 @@ def test_refused_replaced_and_lost_goals_are_reported_correctly(
                 error_msg="off",
             )
             time.sleep(0.2)
-        assert fake.recorded(1)[0].error_code == ErrorCode.GOAL_OFF_TABLE
+        entries = tmp_path / "runs" / REFUSALS
+        fake.bench.wait(entries.exists, "the refusal is listed")
         first, second = fake.goal(), fake.goal(Pose(-0.02, 0.0, 0.0))
         fake.plan(first, PlanState.PLACING)
         time.sleep(0.3)
@@ -325,11 +328,35 @@ def test_refused_replaced_and_lost_goals_are_reported_correctly(
             first, PlanState.CANCELED, error_code=ErrorCode.GOAL_REPLACED, error_msg="newer"
         )
         fake.plan(second, PlanState.WAITING_FOR_CELL)
-        runs = fake.recorded(3)  # the planner publishes nothing more about the second goal
-    assert [run.outcome for run in runs] == ["refused", "canceled", "unfinished"]
-    assert runs[1].error_code == ErrorCode.GOAL_REPLACED
-    assert runs[2].error_code == ErrorCode.SHUTTING_DOWN
-    assert (one := runs[0].first).goal is not None and one.goal.x == 0.9
+        runs = fake.recorded(2)  # the planner publishes nothing more about the second goal
+    assert [run.outcome for run in runs] == ["canceled", "unfinished"]
+    assert runs[0].error_code == ErrorCode.GOAL_REPLACED
+    assert runs[1].error_code == ErrorCode.SHUTTING_DOWN
+    (entry,) = [json.loads(line) for line in entries.read_text().splitlines()]
+    assert entry["error_code"] == ErrorCode.GOAL_OFF_TABLE and entry["goal"]["x"] == 0.9
+
+
+def test_a_refused_goal_has_a_folder_if_the_folder_was_named(tmp_path: Path) -> None:
+    with cell(tmp_path, name="mine") as fake:
+        off = fake.goal(Pose(0.9, 0.0, 0.0))
+        code = ErrorCode.GOAL_OFF_TABLE
+        fake.report(off, PlanState.FAILED, refused=True, error_code=code, error_msg="off")
+        (run,) = fake.recorded(1)
+    assert run.outcome == "refused" and run.error_code == code
+
+
+def test_a_disk_that_is_nearly_full_is_a_warning_before_nothing_is_recorded(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    usage = shutil.disk_usage(tmp_path)
+    with cell(tmp_path, least_free=500.0) as fake:
+        fake.bench.wait(lambda: fake.health()[0] == DiagnosticStatus.OK, "it is well")
+        low = usage._replace(free=900_000_000)
+        monkeypatch.setattr(shutil, "disk_usage", lambda _: low)
+        fake.bench.wait(lambda: fake.health()[0] == DiagnosticStatus.WARN, "it warns")
+        assert "900 MB free; nothing is recorded below 500 MB" in fake.health()[1]
+        fake.follow(fake.goal())
+        assert fake.recorded(1)[0].reached
 
 
 def test_stopping_the_recorder_writes_the_tables_of_the_active_goal(tmp_path: Path) -> None:

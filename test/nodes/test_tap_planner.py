@@ -42,6 +42,7 @@ from tapping_cell.logic.effects import KeepGoal, Publish
 from tapping_cell.logic.poses import covariance_to_message
 from tapping_cell.nodes.cell_node import BEST_EFFORT_COMMAND, COMMAND, LATCHED
 from tapping_cell.nodes.conversions import from_message, to_message
+from tapping_cell.nodes.kept_content import BOOT
 from tapping_cell.nodes.planner.tap_planner import TapPlanner
 from tapping_cell.se2 import Pose
 
@@ -245,6 +246,31 @@ def test_an_active_goal_is_stored_for_crash_recovery_and_deleted_at_its_end(tmp_
         assert json.loads(kept.read_text())["goal"] == pytest.approx(list(GOAL))
         made.end()
         assert not kept.exists()
+
+
+@pytest.mark.parametrize("restarted", [False, True], ids=["crash", "restart of the computer"])
+def test_a_goal_is_resumed_after_a_crash_but_not_after_a_restart_of_the_computer(
+    tmp_path: Path, restarted: bool
+) -> None:
+    with acted() as made:
+        made.arm_arrives = False
+        made.send()
+        made.bench.wait(made.taps, "a tap")
+        (kept,) = (tmp_path / ".ros" / "tapping_cell").glob("domain*/goal.json")
+        content = json.loads(kept.read_text())
+        made.end()
+    if restarted:
+        content[BOOT] = "an earlier one"
+    kept.write_text(json.dumps(content))
+    with acted() as made:
+        if restarted:
+            made.bench.wait(lambda: made.plans, "the planner")
+            time.sleep(2.0)
+            assert all(plan.state == PlanState.IDLE for plan in made.plans) and not made.taps()
+            assert not kept.exists()
+        else:
+            made.bench.wait(made.taps, "a tap of the resumed goal")
+            made.end()
 
 
 def test_a_stored_goal_that_cannot_be_updated_is_deleted(tmp_path: Path) -> None:

@@ -32,7 +32,7 @@ ARROWS = {
         "vision.outline.shape",
         "configuration",
     },
-    "calibration": {"se2", "mechanics", "vision", "hardware", "configuration"},
+    "calibration": {"se2", "durable_file", "mechanics", "vision", "hardware", "configuration"},
     "tapping_env": {"se2", "planning", "configuration", "simulation"},
     "report": {"se2", "durable_file", "mechanics", "planning", "configuration"},
     "logic": {"se2", "messages", "hardware", "planning", "vision", "configuration"},
@@ -83,6 +83,7 @@ HOMES = {
     "tornado": {"nodes"},
     "argcomplete": {"cli"},
     "gymnasium": {"tapping_env"},
+    "prometheus_client": {"nodes"},
     "pyarrow": {"report"},
 }
 # These modules open real ports. The simulated world must never open a real port, so it may not

@@ -44,6 +44,7 @@ from tapping_cell.nodes.page.calls import answer_to, call_service, send_goal
 from tapping_cell.nodes.page.cell_view import CellView, error_pair, triple, with_code
 from tapping_cell.nodes.page.goal_preview import GoalPreview
 from tapping_cell.nodes.page.goal_queue import GoalQueue, NamedGoals, QueueFull
+from tapping_cell.nodes.page.metrics import make_metrics
 from tapping_cell.nodes.page.node_watch import ACTORS, ARM, NodeWatch
 from tapping_cell.nodes.page.planner_parameters import PlannerParameters
 from tapping_cell.nodes.page.requests import (
@@ -134,6 +135,7 @@ class OperatorPage(CellNode[Parameters]):
         self._picture_at = -np.inf
         self._stop: StopLink | None = None
         self.runs = Runs(Path(self.settings.runs))
+        self.metrics = make_metrics(self)
         self._arrangements = Arrangements(self, self._view.note)
         self._preview = GoalPreview(self, self._arrangements)
         self._action = ActionClient(self, PositionObject, "position_object")
@@ -255,6 +257,8 @@ class OperatorPage(CellNode[Parameters]):
     def _on_report(self, message: GoalReport) -> None:
         """Continue or pause the queue when a goal has ended, regardless of its client."""
         self._view.on_report(message)
+        if self.metrics is not None:
+            self.metrics.on_report(message)
         sentence = with_code(message.error_msg, message.error_code)
         self._queue.ended(message.error_code == ErrorCode.NONE, sentence)
 

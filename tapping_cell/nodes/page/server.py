@@ -33,6 +33,7 @@ from tornado.web import Application, RequestHandler, StaticFileHandler
 from tornado.websocket import WebSocketClosedError, WebSocketHandler
 
 from tapping_cell.nodes.page.guard import Guard, host_name
+from tapping_cell.nodes.page.metrics import ABSENT, Metrics
 from tapping_cell.nodes.page.requests import (
     LARGEST_MESSAGE,
     BadRequest,
@@ -113,6 +114,10 @@ class Backend(Protocol):
         """Process a request of a page."""
 
     @property
+    def metrics(self) -> Metrics | None:
+        """Return the numbers for Prometheus; None if its library is not installed."""
+
+    @property
     def runs(self) -> Runs:
         """Return the recorded runs."""
 
@@ -187,6 +192,7 @@ class PageServer:
             ("/live", PageSocket),
             ("/stop-port", StopPortHandler),
             ("/palette.css", PaletteHandler),
+            ("/metrics", MetricsHandler),
             (r"/runs/([A-Za-z0-9_-]{22})/([^/]{1,400})/(report\.html|run\.zip)", RunHandler),
             ("/(.*)", FileHandler, {"path": str(STATIC), "default_filename": "index.html"}),
         ]
@@ -316,6 +322,22 @@ class PaletteHandler(_Guarded):
         """Return the style sheet."""
         self.set_header("Content-Type", "text/css; charset=utf-8")
         self.finish(css_variables())
+
+
+class MetricsHandler(_Guarded):
+    """Serve the numbers of the cell to Prometheus. With a token, it is required as a bearer."""
+
+    def get(self) -> None:
+        """Send the numbers."""
+        if not self.server.guard.admits(
+            self.request.headers.get("Authorization", "").removeprefix("Bearer ")
+        ):
+            self.refuse(401, "send the page's token: Authorization: Bearer TOKEN")
+        elif (metrics := self.server.backend.metrics) is None:
+            self.refuse(501, ABSENT)
+        else:
+            self.set_header("Content-Type", metrics.content_type)
+            self.finish(metrics.text())
 
 
 class RunHandler(_Guarded):

@@ -198,6 +198,13 @@ class TapPlanner(LogicNode[Parameters]):
         except PlanningError as error:
             raise ConfigurationError(f"{cell.path}: {error}") from error
         self.host.start(None)
+        if self.host.goal_file.is_of_earlier_boot():
+            # The age does not tell: a computer may start faster, or with a wrong clock.
+            self.host.goal_file.keep(None)
+            self.get_logger().warning(
+                "the goal that was under way when this computer lost power or was restarted is not"
+                " resumed; send the goal again"
+            )
         kept = self.host.goal_file.recall()
         age = self.host.goal_file.age() if kept is not None else math.inf
         self.host.lifecycle(Configured(cell, goals, kept_goal=kept, kept_goal_age=age))

@@ -70,7 +70,7 @@ def new_folder(
         if runs >= most_runs:
             raise CannotRecord(
                 f"{parent} holds {runs} folders and most_runs is {most_runs}; nothing is "
-                "deleted automatically: move old runs away, or raise most_runs"
+                "deleted without keep_free: move old runs away, or raise most_runs"
             )
         for number in range(1, most_runs + 2):
             folder = parent / (name if number == 1 else f"{name}_{number}")

@@ -7,6 +7,7 @@ continues. Messages of the last seconds are buffered, so that a bag starts befor
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import sys
@@ -14,7 +15,7 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from math import inf
+from math import inf, isfinite
 from pathlib import Path
 from typing import Any
 
@@ -41,10 +42,11 @@ from visualization_msgs.msg import MarkerArray
 
 from tapping_cell.configuration.schema import ConfigurationError, quantity, text
 from tapping_cell.logic.goal_watch import FINAL_STATES
+from tapping_cell.nodes import computer
 from tapping_cell.nodes.camera import images
 from tapping_cell.nodes.cell_node import LATCHED, CellNode, run
 from tapping_cell.nodes.cell_parameters import ObjectParameters
-from tapping_cell.nodes.conversions import seconds
+from tapping_cell.nodes.conversions import from_message, seconds
 from tapping_cell.nodes.own_joints import OwnJoints
 from tapping_cell.nodes.polled_topics import PolledTopics
 from tapping_cell.nodes.recorder.reception import MessageBuffer, MessageReader
@@ -62,6 +64,7 @@ from tapping_cell.nodes.recorder.recording import (
     run_name,
     same_goal,
 )
+from tapping_cell.nodes.recorder.retention import Retention, list_refusal
 from tapping_cell.nodes.recorder.run_names import LONGEST_NAME, is_run_name
 from tapping_cell.nodes.worker import Worker
 from tapping_cell.report.bag import BagError, Quality
@@ -81,6 +84,8 @@ WRITE_PERIOD_S = 0.5
 POLL_PERIOD_S = 0.1
 REPEATED_WITHIN_S = 10.0
 """Time within which a repeated refusal gets no folder of its own."""
+WARNING_FACTOR = 2.0
+"""Multiple of least_free below which the free disk space is a warning."""
 RATE_SHARE = 0.8
 """Minimum interval between recorded images, as a share of the requested period. Intervals vary, and
 a full period would drop images that are slightly early."""
@@ -147,11 +152,26 @@ class Parameters(ObjectParameters):
         "free disk space below which nothing is recorded", "MB", 0.0, 1e7, default=500.0
     )
     most_runs: int = quantity(
-        "maximum number of run folders, beyond which nothing is recorded; nothing is ever deleted",
+        "maximum number of run folders, beyond which nothing is recorded, or with keep_free or "
+        "keep_days the oldest runs are deleted",
         "",
         1,
         1_000_000,
         default=10_000,
+    )
+    keep_free: float = quantity(
+        "share of the disk that is kept free by deleting the oldest runs; 0: nothing is deleted",
+        "",
+        0.0,
+        0.9,
+        default=0.0,
+    )
+    keep_days: float = quantity(
+        "age from which runs are deleted; 0: nothing is deleted because of its age",
+        "days",
+        0.0,
+        36_500.0,
+        default=0.0,
     )
     seed: int = quantity(
         "random seed of the simulated world, stored in the run's summary; negative for none",
@@ -170,6 +190,19 @@ def checked_folder(folder: str) -> str:
             "printable characters"
         )
     return folder
+
+
+def refusal_entry(report: GoalReport) -> dict[str, object]:
+    """Return the entry of a refused goal in the list: time in s, goal in m and rad, and reason."""
+    pose = from_message(report.goal.pose)
+    values = {"x": pose.x, "y": pose.y, "theta": pose.theta}
+    return {
+        "at": seconds(report.header.stamp),
+        "frame": report.goal.header.frame_id,
+        "goal": {key: value if isfinite(value) else None for key, value in values.items()},
+        "error_code": report.error_code,
+        "error_msg": report.error_msg,
+    }
 
 
 def checked_name(name: str) -> str:
@@ -211,6 +244,7 @@ class RunRecorder(CellNode[Parameters]):
         self._joints = OwnJoints(())
         self._folder, self._name = self.settings.folder, self.settings.name
         self._picture_rate = self.settings.picture_rate
+        self._retention = Retention(self.settings.most_runs)
         self._worker: Worker | None = None
         self._reporter: Worker | None = None
         self._types = MessageTypes()
@@ -264,6 +298,9 @@ class RunRecorder(CellNode[Parameters]):
         self._notes = cell_notes(cell, self.settings.seed)
         self._worker = Worker("recorder", lambda: self._write(self._buffer.take()), WRITE_PERIOD_S)
         self._worker.start()
+        settings = self.settings
+        self._retention = Retention(settings.most_runs, settings.keep_free, settings.keep_days)
+        self._submit(self._delete_old_runs)
         self._reporter = Worker("teller")
         self._reporter.start()
         for topic in self._topics.values():
@@ -322,6 +359,20 @@ class RunRecorder(CellNode[Parameters]):
         if warning := self._reader.warning:
             values["error code"] = ErrorCode.OTHER_VERSION
             return DiagnosticStatus.WARN, warning, values
+        least = MEGABYTE * self.settings.least_free
+        if (degrees := computer.temperature()) is not None:
+            values["temperature (degrees C)"] = degrees
+        with contextlib.suppress(OSError):
+            free = computer.free_disk_space(self._run_parent)
+            values["free disk space (MB)"] = free // MEGABYTE
+            if free < WARNING_FACTOR * least:
+                values["error code"] = ErrorCode.RECORDING_FAILED
+                sentence = (
+                    f"({ErrorCode.RECORDING_FAILED}) the disk of {self._run_parent} has only"
+                    f" {free / MEGABYTE:.0f} MB free; nothing is recorded below"
+                    f" {self.settings.least_free:.0f} MB, and goals continue: move old runs away"
+                )
+                return DiagnosticStatus.WARN, sentence, values
         return DiagnosticStatus.OK, "ok", values
 
     @property
@@ -413,9 +464,15 @@ class RunRecorder(CellNode[Parameters]):
         return seconds(plan.header.stamp) <= seconds(end.header.stamp)
 
     def _on_goal_report(self, report: GoalReport) -> None:
-        """End the recording of a goal that has ended, or record a goal that was refused."""
+        """End the recording of a goal that has ended, or list a goal that was refused. A refused
+        goal has a run folder only if the parameter ``name`` asks for this folder."""
         if report.refused:
-            if self._is_new_refusal(report) and self._plan is None:
+            if not self._is_new_refusal(report):
+                return
+            if not self._name:
+                entry, folder = refusal_entry(report), self._run_parent
+                self._submit(lambda: self._list(folder, entry))
+            elif self._plan is None:
                 self._begin(PlanState(header=report.header, goal=report.goal), refused=True)
                 self._ends_at = time.monotonic()
             return
@@ -478,7 +535,23 @@ class RunRecorder(CellNode[Parameters]):
 
     # Writing: the worker's thread
 
+    def _list(self, folder: Path, entry: dict[str, object]) -> None:
+        try:
+            list_refusal(folder, entry)
+        except OSError as error:
+            self._complain(f"a refused goal could not be listed in {folder} ({error.strerror})")
+
+    def _delete_old_runs(self) -> None:
+        try:
+            deleted = self._retention.apply(self._run_parent)
+        except OSError as error:
+            self._complain(f"old runs in {self._run_parent} cannot be deleted ({error})")
+            return
+        if deleted:
+            self.get_logger().info(f"deleted old runs: {', '.join(deleted)}")
+
     def _open(self, folder: Path, name: str) -> None:
+        self._delete_old_runs()
         try:
             least_free = MEGABYTE * self.settings.least_free
             prepared = bool(self._name)

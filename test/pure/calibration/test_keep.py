@@ -13,7 +13,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tapping_cell.calibration.keep import KeptFile, Output, now, refuse_existing, write_kept
+from tapping_cell.calibration.keep import (
+    KEPT,
+    KeptFile,
+    Output,
+    earlier_files,
+    now,
+    refuse_existing,
+    undo,
+    write_kept,
+)
 from tapping_cell.configuration.provenance import Provenance, provenance_yaml, read_provenance
 from tapping_cell.configuration.schema import ConfigurationError
 
@@ -131,3 +140,27 @@ def test_a_file_created_in_the_meantime_is_kept(
 
 def refused_link(source: Path, target: Path) -> None:
     raise PermissionError(errno.EPERM, "Operation not permitted")
+
+
+def test_the_last_ten_contents_are_kept_and_come_back_in_reverse_order(tmp_path: Path) -> None:
+    path = tmp_path / "a[1].yaml"
+    for number in range(KEPT + 5):
+        write(Output(path, force=True, accept_worse=True), replace(OLD, observations=number))
+    assert len(earlier_files(path)) == KEPT
+    for number in range(KEPT + 3, 3, -1):
+        undo(path, read_provenance)
+        found = read_provenance(path)
+        assert found is not None and found.observations == number
+    with pytest.raises(KeptFile, match="no earlier content"):
+        undo(path, read_provenance)
+    assert found == read_provenance(path)
+
+
+def test_an_earlier_content_that_is_damaged_is_not_restored(tmp_path: Path) -> None:
+    path = tmp_path / "a.yaml"
+    for _ in range(2):
+        write(Output(path, force=True), OLD)
+    earlier_files(path)[0].write_text("calibration: {by: someone}")
+    with pytest.raises(ConfigurationError):
+        undo(path, read_provenance)
+    assert read_provenance(path) == OLD and len(earlier_files(path)) == 1

@@ -3,10 +3,14 @@ the others."""
 
 from __future__ import annotations
 
+import os
+import socket
+
 import pytest
 
 from tapping_cell.cli.graph import Ended, NodeDied
-from tapping_cell.cli.supervision import DELAY_S, MAX_RESTARTS, WINDOW_S, Supervisor
+from tapping_cell.cli.supervision import DELAY_S, HUNG_S, MAX_RESTARTS, WINDOW_S, Supervisor
+from tapping_cell.nodes.service_manager import ALIVE, SOCKET_VARIABLE, Notifications, notify
 
 
 class FakeGraph:
@@ -15,6 +19,10 @@ class FakeGraph:
     def __init__(self) -> None:
         self.down: dict[str, Ended] = {}
         self.started: list[str] = []
+        self.process_ids = {"scara_arm": os.getpid()}
+
+    def kill(self, name: str) -> None:
+        self.end(name)
 
     def ended(self) -> list[Ended]:
         return list(self.down.values())
@@ -72,3 +80,43 @@ def test_a_node_that_refuses_its_parameters_is_not_restarted() -> None:
     graph.end("tap_planner", 1, "loading | error: unknown parameter 'speeed'")
     with pytest.raises(NodeDied, match="error: unknown parameter 'speeed'"):
         Supervisor(graph).check(0.0)  # type: ignore[arg-type]
+
+
+def test_a_node_whose_loop_hangs_is_killed_and_restarted(monkeypatch: pytest.MonkeyPatch) -> None:
+    graph, notifications = FakeGraph(), Notifications()
+    supervisor = Supervisor(graph, notifications)  # type: ignore[arg-type]
+    monkeypatch.setenv(SOCKET_VARIABLE, notifications.address)
+    # A node that has not reported yet is still loading.
+    now = 0.0
+    for _ in range(60):
+        now += 0.5
+        assert not supervisor.check(now)
+    notify(ALIVE)
+    assert not supervisor.check(now)
+    # While this process was suspended, the silence of the nodes does not count.
+    now += 10 * HUNG_S
+    assert not supervisor.check(now)
+    incidents = []
+    for _ in range(int(2 * HUNG_S)):
+        now += 0.5
+        incidents += supervisor.check(now)
+    (incident,) = incidents
+    assert f"did not respond for {HUNG_S:.0f} s" in incident.sentence
+    now += DELAY_S
+    assert not supervisor.check(now) and graph.started == ["scara_arm"]
+    notifications.close()
+
+
+def test_only_the_sender_of_a_report_counts_as_alive(monkeypatch: pytest.MonkeyPatch) -> None:
+    notifications = Notifications()
+    monkeypatch.setenv(SOCKET_VARIABLE, notifications.address)
+    for state in ("STATUS=WATCHDOG", ALIVE, f"READY=1\n{ALIVE}"):
+        notify(state)
+    assert notifications.alive() == {os.getpid()} and notifications.alive() == set()
+    notifications.close()
+    notify(ALIVE)  # nobody listens: no error
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as full:
+        full.bind("")
+        monkeypatch.setenv(SOCKET_VARIABLE, "@" + full.getsockname()[1:].decode())
+        for _ in range(1000):
+            notify(ALIVE)  # nobody reads: it does not block

@@ -1,0 +1,323 @@
+"""Make a cell start with this computer: a systemd unit, a system user, device names, and files in
+/etc.
+
+The plan is printed first, and carried out after a yes. The cell comes up stopped: the arm is homed
+only on request, and a stored stop stays active. Run it as root in a shell that is set up, from a
+source folder outside the home folders, such as /opt.
+
+    python -m tapping_cell deploy --dry-run
+    python -m tapping_cell deploy --page
+    python -m tapping_cell deploy --hardware --cell my_cell.yaml --camera /dev/video0 --page
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import os
+import shutil
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+from tapping_cell import __version__
+from tapping_cell.calibration.keep import now
+from tapping_cell.cli import argument_types
+from tapping_cell.cli.deployment import service
+from tapping_cell.cli.deployment.adapters import Adapter, adapter_of
+from tapping_cell.cli.deployment.cell_copy import copied_cell
+from tapping_cell.cli.deployment.places import DEFAULT_NAME, MANIFEST, Places, valid_name
+from tapping_cell.cli.errors import ExitStatus, print_error, print_refusal
+from tapping_cell.cli.graph import GraphError, domain_number
+from tapping_cell.cli.start_checks import refuse_unused
+from tapping_cell.cli.up import CAMERA, page_place
+from tapping_cell.configuration.cell import (
+    Cell,
+    load_cell,
+    refuse_own_drivers,
+    refuse_simulated_ports,
+)
+from tapping_cell.configuration.schema import ConfigurationError
+from tapping_cell.durable_file import replace_text
+
+PRIVATE_FOLDERS = ("/home", "/root", "/tmp", "/var/tmp", "/run")
+"""Folders that the service cannot see."""
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedFile:
+    """A file or symbolic link to be written; an existing file with ``keep`` is kept."""
+
+    path: Path
+    """Path on the deployed computer."""
+    text: str
+    """Content, or the target of the link."""
+    link: bool = False
+    keep: bool = False
+
+    def write(self, root: Path) -> bool:
+        """Write the file. Return whether it was written and not kept."""
+        place = root / self.path.relative_to("/")
+        if self.keep and place.exists():
+            return False
+        place.parent.mkdir(parents=True, exist_ok=True)
+        if self.link:
+            place.unlink(missing_ok=True)
+            place.symlink_to(self.text)
+        else:
+            replace_text(place, self.text)
+            place.chmod(0o644)
+        return True
+
+
+def add_name(parser: argparse.ArgumentParser) -> None:
+    """Declare --name and --root, which select a deployed cell."""
+    parser.add_argument(
+        "--name",
+        type=_name,
+        default=DEFAULT_NAME,
+        help="name of the deployed cell, its user, unit and folders (default: tapping_cell)",
+    )
+    parser.add_argument(
+        "--root",
+        type=Path,
+        default=Path("/"),
+        metavar="FOLDER",
+        help="root folder of the computer, such as that of a mounted image (default: /)",
+    )
+
+
+def _name(text: str) -> str:
+    try:
+        return valid_name(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from error
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of the verb."""
+    add_name(parser)
+    parser.add_argument("--cell", type=Path, help="cell file (default: the package's cell.yaml)")
+    parser.add_argument(
+        "--hardware",
+        action="store_true",
+        help="use the real camera, arm and tapper (default: simulated)",
+    )
+    parser.add_argument(
+        "--camera", help="camera device (only with --hardware; default: /dev/video0)"
+    )
+    parser.add_argument(
+        "--page",
+        nargs="?",
+        type=page_place,
+        const=("localhost", 8010),
+        metavar="[ADDRESS:]PORT",
+        help="serve the operator's page (default address: localhost:8010)",
+    )
+    parser.add_argument(
+        "--domain",
+        type=int,
+        metavar="N",
+        help="ROS domain of the cell (default: ROS_DOMAIN_ID, or 0); two cells on one computer need"
+        " different ones",
+    )
+    parser.add_argument(
+        "--range",
+        choices=("LOCALHOST", "SUBNET"),
+        default="LOCALHOST",
+        help="where nodes find each other: on this computer, or in its network (default: "
+        "LOCALHOST)",
+    )
+    argument_types.add_namespace(parser, "namespace of the nodes (default: none)")
+    parser.add_argument(
+        "--dry-run", action="store_true", help="print every file of the plan, and change nothing"
+    )
+    parser.add_argument("--yes", action="store_true", help="carry out the plan without asking")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the verb. Return 0 if the plan was carried out or only printed, 1 if a step of it failed
+    or was declined, 2 for wrong input."""
+    places = Places(arguments.name, arguments.root)
+    try:
+        if not arguments.hardware:
+            refuse_unused(arguments, "only with --hardware", "camera")
+        cell = load_cell(arguments.cell)
+        if arguments.hardware:
+            refuse_simulated_ports(cell)
+        else:
+            refuse_own_drivers(cell)
+        domain = domain_number(
+            os.environ if arguments.domain is None else {"ROS_DOMAIN_ID": str(arguments.domain)}
+        )
+        files, remarks = planned(arguments, cell, places, domain)
+    except (ConfigurationError, GraphError, OSError) as error:
+        return print_refusal(error)
+    live = arguments.root == Path("/")
+    commands = started_by(places) if live else []
+    for file in files:
+        kept = file.keep and (arguments.root / file.path.relative_to("/")).exists()
+        print(f"{'keep ' if kept else 'write'} {file.path}" + f" -> {file.text}" * file.link)
+        if arguments.dry_run and not file.link:
+            print("".join(f"    {line}\n" for line in file.text.splitlines()), end="")
+    for command in commands:
+        print(f"run   {' '.join(command)}")
+    for remark in remarks:
+        print(f"note  {remark}")
+    if arguments.dry_run:
+        return ExitStatus.DONE
+    if refused := unsuitable(live):
+        print_error(refused)
+        return ExitStatus.REFUSED
+    if not arguments.yes and not agreed():
+        return ExitStatus.FAILED
+    try:
+        return carry_out(files, places, commands)
+    except OSError as error:
+        print_error(f"{error.filename}: {error.strerror}; deploy again after the remedy")
+        return ExitStatus.FAILED
+
+
+def planned(
+    arguments: argparse.Namespace, cell: Cell, places: Places, domain: int
+) -> tuple[list[PlannedFile], list[str]]:
+    """Return the files of a deployment, and remarks on it."""
+    name, remarks = places.name, []
+    configuration = Path("/etc") / name
+    options = [
+        *("--cell", str(configuration / "cell.yaml"), "--wait", "3600"),
+        *("--runs", f"/var/lib/{name}/runs", "--logs", f"/var/log/{name}"),
+        *("--keep-free", "20"),
+    ]
+    adapters: dict[str, Adapter] = {}
+    ports: dict[str, str] = {}
+    if arguments.hardware:
+        wanted = {} if cell.file.arm is None else {"arm": cell.file.arm.port}
+        for number, board in enumerate(cell.boards):
+            wanted[f"tapper_{number}" if number else "tapper"] = board.port
+        wanted["camera"] = arguments.camera or CAMERA
+        for part, port in wanted.items():
+            found = adapter_of(Path(port)) if port.startswith("/dev/") else None
+            if found is None:
+                remarks.append(f"{part}: {port or 'no port'} keeps its name: no USB adapter there")
+                continue
+            if not found.serial:
+                remarks.append(
+                    f"{part}: {port} has no serial number, so its USB socket {found.place} names it"
+                )
+            adapters[part] = found
+            ports[port] = f"/dev/{name}/{part}"
+        options += ["--hardware", "--camera", ports.get(wanted["camera"], wanted["camera"])]
+    if arguments.page:
+        address, port = arguments.page
+        options += ["--page", f"[{address}]:{port}" if ":" in address else f"{address}:{port}"]
+        if address not in ("localhost", "127.0.0.1", "::1"):
+            remarks.append(f"the page is open to the network; its token is in /var/log/{name}")
+    if arguments.namespace:
+        options += ["--namespace", arguments.namespace]
+    links = tuple(f"{name}/{part}" for part in adapters)
+    unit = service.unit_text(
+        places, hardware=arguments.hardware, network=arguments.range != "LOCALHOST", links=links
+    )
+    environment = service.environment_text(
+        places, " ".join(options), domain, arguments.range, os.environ
+    )
+    systemd = Path("/etc/systemd/system")
+    files = [
+        *(
+            PlannedFile(configuration / path, text, keep=True)
+            for path, text in sorted(copied_cell(cell, ports).items())
+        ),
+        PlannedFile(configuration / "cell.env", environment),
+        PlannedFile(Path(f"/etc/sysusers.d/{name}.conf"), service.user_text(places)),
+        PlannedFile(Path(f"/etc/logrotate.d/{name}"), service.LOG_ROTATION.format(name=name)),
+        PlannedFile(systemd / places.unit, unit),
+        PlannedFile(
+            systemd / "multi-user.target.wants" / places.unit, f"../{places.unit}", link=True
+        ),
+    ]
+    if adapters:
+        rules = [
+            adapter.rule(f"{name}/{part}", name, places.unit) for part, adapter in adapters.items()
+        ]
+        files.append(
+            PlannedFile(Path(f"/etc/udev/rules.d/70-{name}.rules"), "\n".join(rules) + "\n")
+        )
+    return files, remarks
+
+
+def started_by(places: Places) -> list[list[str]]:
+    """Return the commands that put the files into effect."""
+    commands = [
+        ["systemd-sysusers", f"/etc/sysusers.d/{places.name}.conf"],
+        ["udevadm", "control", "--reload"],
+        ["udevadm", "trigger", "--subsystem-match=tty", "--subsystem-match=video4linux"],
+        ["systemctl", "daemon-reload"],
+        ["systemctl", "restart", places.unit],
+    ]
+    return available(commands)
+
+
+def available(commands: list[list[str]]) -> list[list[str]]:
+    """Return the commands that this computer has and that work now, without systemd and udev in a
+    container."""
+    booted = Path("/run/systemd/system").is_dir()
+    alone = "systemd-sysusers", "userdel"
+    return [one for one in commands if shutil.which(one[0]) and (booted or one[0] in alone)]
+
+
+def unsuitable(live: bool) -> str:
+    """Return the reason why the service could not run here; empty if it can."""
+    if not live:
+        return ""
+    if os.geteuid() != 0:
+        return (
+            "only root may deploy: sudo bash -c '. ./env.sh && python -m tapping_cell deploy ...'"
+        )
+    for path in (Path(__file__), Path(sys.executable)):
+        inside = [folder for folder in PRIVATE_FOLDERS if path.resolve().is_relative_to(folder)]
+        if inside:
+            return (
+                f"{path.resolve()} is in {inside[0]}, which a service cannot read: put the source "
+                "folder into /opt, and set PYTHON to a Python in /usr before you source env.sh"
+            )
+    return ""
+
+
+def agreed() -> bool:
+    """Ask whether to carry out the plan."""
+    try:
+        return input("carry this out? [y/N] ").strip().lower() in ("y", "yes")
+    except EOFError:
+        return False
+
+
+def carry_out(files: list[PlannedFile], places: Places, commands: list[list[str]]) -> int:
+    """Write the files, with a list of what was written for ``undeploy``, and run the commands."""
+    written = (places.manifest() or {}).get("files", {})
+    content = {"version": __version__, "made": now(), "files": written}
+    places.configuration.mkdir(parents=True, exist_ok=True)
+    for file in files:
+        if file.write(places.root):
+            written[str(file.path)] = digest(file.text)
+            # After an interruption, undeploy knows what was written until then.
+            replace_text(places.configuration / MANIFEST, json.dumps(content, indent=2) + "\n")
+    return run_all(commands)
+
+
+def run_all(commands: list[list[str]]) -> int:
+    """Run commands, all of them even if one fails. Return the exit code of the verb."""
+    status = ExitStatus.DONE
+    for command in commands:
+        result = subprocess.run(command, check=False, capture_output=True, text=True)
+        if result.returncode:
+            print_error(f"{' '.join(command)}: {(result.stderr or result.stdout).strip()}")
+            status = ExitStatus.FAILED
+    return status
+
+
+def digest(text: str) -> str:
+    """Return the SHA-256 of a text."""
+    return hashlib.sha256(text.encode()).hexdigest()

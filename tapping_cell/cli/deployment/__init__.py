@@ -1,0 +1,1 @@
+"""Parts of the verbs ``deploy``, ``undeploy``, ``backup``, ``restore`` and ``bundle``."""

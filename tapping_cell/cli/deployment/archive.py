@@ -1,0 +1,176 @@
+"""Archive of what a deployed cell has learnt from people and measurements: a zip file with a list
+of checksums."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import zipfile
+import zlib
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+from tapping_cell.calibration.keep import now
+from tapping_cell.cli.deployment.places import MANIFEST, Places
+from tapping_cell.durable_file import part_of, replace_text, sync_folder
+from tapping_cell.report.versions import versions
+
+CONTENT = "content.json"
+FORMAT = 1
+LARGEST = 64_000_000
+"""Largest size in bytes of an unpacked archive."""
+OF_THE_COMPUTER = (MANIFEST, "cell.env")
+"""Files of the configuration that belong to the computer, and are written by ``deploy``."""
+NAMED_GOALS = "named_goals.json"
+
+
+class ArchiveError(ValueError):
+    """The archive cannot be read or restored. The message states the reason."""
+
+
+def collected(places: Places) -> dict[str, Path]:
+    """Return the text files of a deployed cell that belong into an archive, by name in it.
+
+    Runs are too large. Stops, goals under way and the numbers of shots must never be set back.
+    """
+    found: dict[str, Path] = {}
+    for folder, root, pattern in (
+        ("configuration", places.configuration, "*"),
+        ("gains", places.gains, "*.json"),
+        ("records", places.records, NAMED_GOALS),
+    ):
+        for file in sorted(root.rglob(pattern)):
+            inside = file.relative_to(root)
+            if file.is_file() and str(inside) not in OF_THE_COMPUTER and _is_text(file):
+                found[f"{folder}/{inside.as_posix()}"] = file
+    return found
+
+
+def _is_text(file: Path) -> bool:
+    try:
+        file.read_text(encoding="utf-8")
+    except UnicodeDecodeError:
+        return False
+    return True
+
+
+def write_archive(path: Path, places: Places) -> int:
+    """Write an archive of a deployed cell, and return the number of its files.
+
+    Raises:
+        ArchiveError: there is nothing to archive.
+        OSError: a file cannot be read or written.
+    """
+    contents = {name: file.read_bytes() for name, file in collected(places).items()}
+    if "configuration/cell.yaml" not in contents:
+        raise ArchiveError(f"{places.cell_file} is missing: no cell '{places.name}' is deployed")
+    content = {
+        "format": FORMAT,
+        "name": places.name,
+        "made": now(),
+        "versions": versions(),
+        "options": up_options(places),
+        "files": {name: hashlib.sha256(data).hexdigest() for name, data in contents.items()},
+    }
+    part = part_of(path)
+    with part.open("wb") as stream:
+        with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
+            archive.writestr(CONTENT, json.dumps(content, indent=2))
+            for name, data in contents.items():
+                archive.writestr(name, data)
+        stream.flush()
+        os.fsync(stream.fileno())
+    part.replace(path)
+    sync_folder(path.parent)
+    return len(contents)
+
+
+def up_options(places: Places) -> str:
+    """Return the options with which the service calls ``up``; empty if they are unknown."""
+    try:
+        lines = (places.configuration / "cell.env").read_text(encoding="utf-8").splitlines()
+    except (OSError, ValueError):
+        return ""
+    return next((line[13:] for line in lines if line.startswith("CELL_OPTIONS=")), "")
+
+
+def read_archive(path: Path) -> tuple[dict[str, Any], dict[str, str]]:
+    """Return the list of contents and the text of each file, after a check of every checksum.
+
+    Raises:
+        ArchiveError: the archive is damaged, of a newer format, or contains another path than an
+            archive of a cell may contain.
+    """
+    try:
+        with zipfile.ZipFile(path) as archive:
+            if sum(entry.file_size for entry in archive.infolist()) > LARGEST:
+                raise ArchiveError(f"{path} is too large for an archive of a cell")
+            content = json.loads(archive.read(CONTENT))
+            if not isinstance(content, dict) or not isinstance(content.get("files"), dict):
+                raise ArchiveError(f"{path} has no list of its files")
+            if content["format"] != FORMAT:
+                raise ArchiveError(
+                    f"{path} has the format {content['format']}, but this version reads {FORMAT}: "
+                    f"use version {content['versions']['tapping_cell']}"
+                )
+            texts: dict[str, str] = {}
+            for name, digest in content["files"].items():
+                data = archive.read(name)
+                if hashlib.sha256(data).hexdigest() != digest:
+                    raise ArchiveError(f"{path}: {name} is damaged")
+                if not _is_allowed(name):
+                    raise ArchiveError(f"{path}: {name} does not belong into an archive of a cell")
+                texts[name] = data.decode("utf-8")
+    except (zipfile.BadZipFile, zlib.error) as error:
+        raise ArchiveError(f"{path} is no zip file, or damaged: {error}") from error
+    except ArchiveError:
+        raise
+    except (
+        OSError,
+        ValueError,
+        LookupError,
+        TypeError,
+        AttributeError,
+        RuntimeError,
+        EOFError,
+    ) as error:
+        raise ArchiveError(f"{path} is no archive of a cell, or damaged: {error}") from error
+    if "configuration/cell.yaml" not in texts:
+        raise ArchiveError(f"{path} contains no cell file")
+    return content, texts
+
+
+def _is_allowed(name: str) -> bool:
+    parts = PurePosixPath(name).parts
+    inside = len(parts) > 1 and ".." not in parts and not name.startswith("/") and "\\" not in name
+    if not inside or "/".join(parts[1:]) in OF_THE_COMPUTER:
+        return False
+    return parts[0] in ("configuration", "gains") or (
+        parts[0] == "records" and parts[-1] == NAMED_GOALS
+    )
+
+
+def target(name: str, places: Places) -> Path:
+    """Return the path of an archived file on this computer."""
+    folder, _, inside = name.partition("/")
+    roots = {"configuration": places.configuration, "gains": places.gains}
+    return roots.get(folder, places.records) / inside
+
+
+def restore_file(path: Path, text: str, places: Places) -> None:
+    """Replace a file. What is made in the home folder of the service belongs to its user.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+    made = [path, *(folder for folder in path.parents if not folder.exists())]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    replace_text(path, text)
+    if path.is_relative_to(places.state) and places.state.exists() and os.geteuid() == 0:
+        owner = places.state.stat()
+        for one in made:
+            if one != places.state:
+                os.chown(one, owner.st_uid, owner.st_gid)
+    else:
+        path.chmod(0o644)

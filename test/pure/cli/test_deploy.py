@@ -1,0 +1,184 @@
+"""``deploy`` writes a service that systemd accepts, and ``undeploy`` removes exactly that."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from tapping_cell.calibration.keep import keep_earlier
+from tapping_cell.cli import main
+from tapping_cell.cli.deployment.adapters import adapter_of
+from tapping_cell.cli.deployment.cell_copy import copied_cell
+from tapping_cell.cli.deployment.service import escaped
+from tapping_cell.configuration.cell import load_cell, load_further_objects
+from tapping_cell.configuration.files import shared_folder
+
+
+def files_of(root: Path) -> set[str]:
+    return {str(p.relative_to(root)) for p in root.rglob("*") if p.is_symlink() or p.is_file()}
+
+
+def deploy(root: Path, *options: str) -> int:
+    return main(["deploy", "--root", str(root), "--yes", *options])
+
+
+def test_undeploy_removes_exactly_what_deploy_wrote(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "etc").mkdir()
+    (tmp_path / "etc/fstab").write_text("# of the computer\n")
+    assert main(["deploy", "--root", str(tmp_path), "--dry-run"]) == 0
+    assert files_of(tmp_path) == {"etc/fstab"}, "a dry run writes nothing"
+    assert "ExecStart=" in capsys.readouterr().out
+    assert deploy(tmp_path, "--page") == 0
+    assert len(files_of(tmp_path)) == 11
+    load_cell(tmp_path / "etc/tapping_cell/cell.yaml")
+    assert main(["undeploy", "--root", str(tmp_path), "--dry-run"]) == 0
+    assert len(files_of(tmp_path)) == 11
+    assert main(["undeploy", "--root", str(tmp_path), "--yes"]) == 0
+    assert files_of(tmp_path) == {"etc/fstab"}
+    assert main(["undeploy", "--root", str(tmp_path), "--yes"]) == 2
+
+
+def test_a_calibrated_file_survives_deploy_and_undeploy(tmp_path: Path) -> None:
+    assert deploy(tmp_path) == 0
+    table = tmp_path / "etc/tapping_cell/table.yaml"
+    calibrated = table.read_text() + "# calibrated\n"
+    table.write_text(calibrated)
+    assert deploy(tmp_path) == 0
+    assert main(["undeploy", "--root", str(tmp_path), "--yes"]) == 0
+    assert table.read_text() == calibrated
+    assert files_of(tmp_path) == {"etc/tapping_cell/table.yaml"}
+    assert deploy(tmp_path) == 0 and table.read_text() == calibrated
+    (tmp_path / "var/lib/tapping_cell/runs").mkdir(parents=True)
+    assert main(["undeploy", "--root", str(tmp_path), "--all", "--yes"]) == 0
+    assert files_of(tmp_path) == set() and not (tmp_path / "var/lib/tapping_cell").exists()
+
+
+def test_two_cells_share_nothing(tmp_path: Path) -> None:
+    assert deploy(tmp_path, "--name", "left", "--domain", "1") == 0
+    left = files_of(tmp_path)
+    assert deploy(tmp_path, "--name", "right", "--domain", "2") == 0
+    assert main(["undeploy", "--name", "right", "--root", str(tmp_path), "--yes"]) == 0
+    assert files_of(tmp_path) == left
+    assert "ROS_DOMAIN_ID=1\n" in (tmp_path / "etc/left/cell.env").read_text()
+
+
+def test_nothing_is_written_without_a_yes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("builtins.input", lambda _: "")
+    assert main(["deploy", "--root", str(tmp_path)]) == 1
+    assert files_of(tmp_path) == set()
+
+
+@pytest.mark.parametrize(
+    "options",
+    [["--hardware"], ["--camera", "/dev/video1"], ["--domain", "300"]],
+    ids=["a simulated cell file", "camera without hardware", "no domain"],
+)
+def test_wrong_input_is_refused(tmp_path: Path, options: list[str]) -> None:
+    assert deploy(tmp_path, *options) == 2
+    assert files_of(tmp_path) == set()
+
+
+@pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="there is no systemd")
+@pytest.mark.parametrize("hardware", [False, True])
+def test_systemd_accepts_the_unit_and_rates_it_below_3(tmp_path: Path, hardware: bool) -> None:
+    options = []
+    if hardware:
+        config = tmp_path / "config"
+        shutil.copytree(shared_folder(), config)
+        cell = config / "cell.yaml"
+        text = cell.read_text().replace("~/.ros/tapping_cell/{cell}/", "/dev/none/")
+        cell.write_text(text)
+        options = ["--hardware", "--cell", str(cell), "--range", "SUBNET"]
+    assert deploy(tmp_path / "root", *options) == 0
+    unit = tmp_path / "root/etc/systemd/system/tapping_cell.service"
+    verified = subprocess.run(["systemd-analyze", "verify", unit], capture_output=True, text=True)
+    assert not [line for line in verified.stderr.splitlines() if str(unit) in line]
+    rated = subprocess.run(
+        ["systemd-analyze", "security", "--offline=true", "--no-pager", unit],
+        capture_output=True,
+        text=True,
+    )
+    if "unrecognized option" in rated.stderr:
+        pytest.skip("this systemd does not rate files")
+    exposure = float(rated.stdout.rpartition("service: ")[2].split()[0])
+    assert exposure < 3.0
+
+
+def usb(sys: Path, name: str, serial: str | None, subsystem: str = "tty") -> Path:
+    """Make the part of sysfs of a USB adapter with the device ``name``."""
+    device = sys / "devices/pci0/usb1/1-1/1-1.2"
+    interface = device / "1-1.2:1.0"
+    node = interface / "ttyUSB0" / subsystem / name
+    node.mkdir(parents=True)
+    for file, text in {"idVendor": "1a86", "idProduct": "7523", "serial": serial}.items():
+        if text is not None:
+            (device / file).write_text(text + "\n")
+    (interface / "bInterfaceNumber").write_text("00\n")
+    (node / "index").write_text("0\n")
+    (sys / "class" / subsystem).mkdir(parents=True)
+    (sys / "class" / subsystem / name).symlink_to(node)
+    return Path("/dev") / name
+
+
+@pytest.mark.parametrize(
+    ("serial", "match"),
+    [
+        ("A9007UX1", 'ATTRS{serial}=="A9007UX1"'),
+        (None, 'KERNELS=="1-1.2"'),
+        ('x", RUN+="/bin/sh', 'KERNELS=="1-1.2"'),
+    ],
+    ids=["serial", "no serial", "hostile serial"],
+)
+def test_an_adapter_is_known_by_its_serial_number(
+    tmp_path: Path, serial: str | None, match: str
+) -> None:
+    port = usb(tmp_path, "ttyUSB7", serial)
+    found = adapter_of(port, tmp_path)
+    assert found is not None
+    rule = found.rule("tapping_cell/arm", "tapping_cell", "tapping_cell.service")
+    assert match in rule and 'SYMLINK+="tapping_cell/arm"' in rule and "RUN" not in rule
+    assert 'ENV{ID_USB_INTERFACE_NUM}=="00"' in rule and 'MODE="0660"' in rule
+    assert adapter_of(Path("/dev/ttyS99"), tmp_path) is None
+
+
+def test_a_camera_is_known_by_its_serial_number(tmp_path: Path) -> None:
+    found = adapter_of(usb(tmp_path, "video2", "C9", "video4linux"), tmp_path)
+    assert found is not None and 'ATTR{index}=="0"' in found.rule("cell/camera", "cell", "cell")
+
+
+@pytest.mark.parametrize("name", ["cell.yaml", "positioning_cell/cell.yaml"])
+def test_the_copy_of_a_cell_is_the_same_cell_with_other_ports(tmp_path: Path, name: str) -> None:
+    cell = load_cell(shared_folder() / name)
+    ports = {board.port: f"/dev/cell/tapper_{n}" for n, board in enumerate(cell.boards)}
+    for path, text in copied_cell(cell, ports).items():
+        (tmp_path / path).parent.mkdir(exist_ok=True)
+        (tmp_path / path).write_text(text)
+    copy = load_cell(tmp_path / "cell.yaml")
+    assert [board.port for board in copy.boards] == list(ports.values())
+    assert copy.object == cell.object and copy.references == cell.references
+    assert load_further_objects(copy) == load_further_objects(cell)
+
+
+def test_a_link_is_escaped_as_systemd_does() -> None:
+    assert escaped("tapping_cell/arm") == "tapping_cell-arm"
+    assert escaped("left-cell/arm") == r"left\x2dcell-arm"
+
+
+def test_undo_lists_and_takes_back_a_calibration(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert deploy(tmp_path) == 0
+    path = tmp_path / "etc/tapping_cell/cell.yaml"
+    before = path.read_text()
+    keep_earlier(path)
+    path.write_text(before.replace("name: tapping cell", "name: calibrated"))
+    assert main(["calibrate", "undo", str(path), "--list"]) == 0
+    assert "no calibration record" in capsys.readouterr().out
+    assert main(["calibrate", "undo", str(path)]) == 0
+    assert path.read_text() == before
+    assert main(["calibrate", "undo", str(path)]) == 2
