@@ -101,3 +101,11 @@ def test_the_list_of_refusals_does_not_grow_for_ever(tmp_path: Path, monkeypatch
     lines = (tmp_path / REFUSALS).read_text().splitlines()
     assert json.loads(lines[-1])["number"] == 199
     assert sum(file.stat().st_size for file in tmp_path.iterdir()) < 2500
+
+
+def test_a_run_that_lost_its_power_is_deleted_like_a_failed_one(tmp_path: Path) -> None:
+    for number in range(12):
+        run(tmp_path, number)
+    (tmp_path / "run_011" / "summary.json").unlink()
+    os.utime(tmp_path / "run_011", (0, 0))
+    assert Retention(100, free_share=0.5).apply(tmp_path, lambda _: 0.0) == ["run_010", "run_011"]

@@ -78,16 +78,22 @@ def free_share(folder: Path) -> float:
 
 
 def _runs(parent: Path) -> Iterator[tuple[float, Path, bool]]:
-    """Return time, folder and success of each run. A folder without a summary is no run."""
+    """Return time, folder and success of each run. A power cut leaves a bag without a summary; a
+    folder with neither is no run."""
     with os.scandir(parent) as entries:
         for entry in entries:
-            summary = Path(entry.path) / "summary.json"
-            if is_run_name(entry.name) and entry.is_dir(follow_symlinks=False):
-                with contextlib.suppress(OSError):
-                    changed = summary.stat(follow_symlinks=False).st_mtime
+            folder = Path(entry.path)
+            if not is_run_name(entry.name) or not entry.is_dir(follow_symlinks=False):
+                continue
+            summary = folder / "summary.json"
+            with contextlib.suppress(OSError):
+                if summary.exists():
                     # The outcome is among the first keys. The whole file may be large.
                     with summary.open(encoding="utf-8", errors="replace") as file:
-                        yield changed, Path(entry.path), '"outcome": "reached"' in file.read(2000)
+                        reached = '"outcome": "reached"' in file.read(2000)
+                    yield summary.stat(follow_symlinks=False).st_mtime, folder, reached
+                elif (folder / "bag").is_dir():
+                    yield entry.stat(follow_symlinks=False).st_mtime, folder, False
 
 
 def list_refusal(parent: Path, entry: dict[str, object]) -> None:
