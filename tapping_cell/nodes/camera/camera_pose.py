@@ -321,7 +321,8 @@ class CameraPose(CellNode[Parameters]):
         self._search_unknown(grey, stamp)
         self._frames += 1
         self._busy_seconds += time.perf_counter() - began
-        self._annotate(message, grey, observation)
+        shown = next(((self._other_files[n], others[n]) for n in tapped if n in others), None)
+        self._annotate(message, grey, *(shown or (self._cell_object, observation)))
         self._publish_others(message, others)
 
     @property
@@ -462,21 +463,26 @@ class CameraPose(CellNode[Parameters]):
         self._last = _empty_state(picture, self._cell.object.name, code, sentence)
         self._state_publisher.publish(self._last)
 
-    def _annotate(self, message: Image, grey: NDArray[np.uint8], observation: Observation) -> None:
+    def _annotate(
+        self,
+        message: Image,
+        grey: NDArray[np.uint8],
+        file: ObjectFile,
+        observation: Observation,
+    ) -> None:
+        """Publish the image with one object: the object that is being tapped, else the cell's."""
         if not self._annotated.is_due(time.monotonic()):
             return
-        assert self._cell is not None and self._tracker is not None
-        # The image shows the outline of the cell's own object, so a goal is drawn only if it is the
-        # goal of this object.
-        own = self._tapped in ("", self._cell.object.name)
+        assert self._tracker is not None
         picture = annotate(
             grey,
             self._tracker.view,
             observation,
-            self._cell.outline(),
-            self._cell.object.height,
-            self._goal if own else None,
+            file.shape.outline(),
+            file.height,
+            self._goal if self._tapped in ("", file.name) else None,
             unknown=[] if self._unknown is None else self._unknown.outlines,
+            name=file.name if self._other_files else "",
         )
         self._annotated.publish(picture, message.header, time.monotonic())
 
