@@ -80,6 +80,10 @@ CODES = {
 TABLE_SEEN = (ErrorCode.NONE, ErrorCode.OBJECT_NOT_SEEN, ErrorCode.MARKER_AMBIGUOUS)
 """Error codes of object states for which the table was located in the image."""
 
+REFERENCE_PATIENCE_S = 4.0
+"""Time after which a missing reference marker is reported in a cell with an arm, s; longer than a
+marker is hidden during a tap. The positions of a moving arm arrive late, and are unknown before
+the arm is homed."""
 WATCH_PERIOD_S = 0.05
 """Period of the check for missing images."""
 MISSED_LOG_PERIOD = 5
@@ -265,7 +269,13 @@ class CameraPose(CellNode[Parameters]):
         settings = TrackerSettings(other_ids=marker_ids([seen, *others]))
         self._late = 0
         self._tracker = PoseTracker(
-            camera, cell.references, seen, settings, others, self._hidden_references
+            camera,
+            cell.references,
+            seen,
+            settings,
+            others,
+            self._hidden_references,
+            0.0 if self._arm is None else REFERENCE_PATIENCE_S,
         )
         self._turns = RoundRobin(len(others))
 
