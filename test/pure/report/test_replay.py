@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from PIL import Image
 from report_parts import made_run, tap_row
 
+from tapping_cell.report.rendering import TEMPLATES
 from tapping_cell.report.replay import NEGLIGIBLE, Track, player
 from tapping_cell.report.run import TIP, Run
 from tapping_cell.report.run_page import page
@@ -83,6 +84,8 @@ def test_the_page_embeds_the_recorded_poses_and_the_player() -> None:
     assert content["tip"] == [[0.0, 200.0, 100.0, 0.0]]
     script = text.rpartition("<script>")[2].partition("</script>")[0]
     assert "requestAnimationFrame" in script
+    # The operator's page allows a report only this script, by its hash.
+    assert script.encode() == (TEMPLATES / "replay.js").read_bytes()
 
 
 @pytest.mark.parametrize("kind", [".mp4", ".gif"])

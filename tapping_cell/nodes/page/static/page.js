@@ -532,6 +532,7 @@ $("home-ghost").addEventListener("click", () => {
   drafts.changed();
   arrangement.refresh();
 });
+$("run-filter").addEventListener("input", () => { if (state) renderRuns(runs, cell.key, state.runs_hint, connected); });
 for (const id of ["log-kind", "log-words"]) $(id).addEventListener("input", () => { if (state) renderLog(); });
 $("confirm-no").addEventListener("click", () => ask(""));
 $("confirm-yes").addEventListener("click", () => {
