@@ -38,10 +38,10 @@ VERBS = {
     "fit": "fit friction and impact of an object to records of single taps",
     "new-object": "create an object file from an image of the object",
     "learn-object": "learn friction and torque factor of an object from taps",
-    "sensitivity": "compute the sensitivity of a tap's result to errors of the striker's pose",
+    "sensitivity": "compute how errors of the striker's pose change a tap's result",
     "locate": "measure the object's pose in image files",
     "calibrate": "calibrate camera, table, arm or tappers; print sheets",
-    "report": "rewrite the reports of run folders, and compare runs",
+    "report": "rewrite the reports of runs, compare runs, and write videos",
     "check-config": "check configuration files without starting anything",
     "deploy": "make a cell start with this computer, as a service of systemd",
     "undeploy": "remove what deploy wrote",
@@ -50,10 +50,19 @@ VERBS = {
     "bundle": "write a zip file for a support request, without secrets",
     "doctor": "check the settings of arm and tapper without moving them",
     "conformance": "check whether a node of your own fulfils its duties in the cell",
-    "urdf": "write the URDF of the arm or the fixed tappers, for RViz and Foxglove",
+    "urdf": "write the URDF of the arm or the fixed tappers, for RViz",
     "completion": "print shell code that completes verbs and options",
 }
 
+GROUPS = {
+    "try the cell": ("demo", "up"),
+    "operate a cell": ["goal", "arrange", "status", "watch", "home", "stop", "clear", "report"],
+    "set up a cell": ["commission", "calibrate", "check-config", "doctor", "urdf"],
+    "describe an object": ["new-object", "learn-object", "single-tap", "fit", "locate"],
+    "plan and evaluate": ["evaluate", "sensitivity", "paper"],
+    "develop": ["conformance", "completion"],
+}
+"""Verbs by what they are for, in the order in which help lists them."""
 MOVED = {
     "bench": "the benchmarks are no longer part of the package; in the source tree, run  python -m "
     "benchmarks",
@@ -126,8 +135,8 @@ def _parser_of(argv: list[str]) -> tuple[argparse.ArgumentParser, Execute]:
         prog="python -m tapping_cell",
         description="A robot cell that positions flat objects by tapping them.",
         usage="%(prog)s VERB ...",
-        epilog="\n".join(f"  {name:<12} {text}" for name, text in VERBS.items())
-        + "\n\nVERB --help shows the options of a verb, and an example.",
+        epilog="\n".join(_help_of(title, names) for title, names in groups().items())
+        + "\nVERB --help shows the options of a verb, and an example.",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--version", action="version", version=f"tapping_cell {__version__}")
@@ -138,6 +147,18 @@ def _parser_of(argv: list[str]) -> tuple[argparse.ArgumentParser, Execute]:
     if not verb:
         parser.error(f"no verb was given; choose from {', '.join(VERBS)}")
     parser.error(f"there is no verb '{verb}'{suggestion(verb, VERBS)}")
+
+
+def groups() -> dict[str, list[str]]:
+    """Return the verbs by group. A verb that is in no group comes last."""
+    grouped = {title: list(names) for title, names in GROUPS.items()}
+    known = {name for names in grouped.values() for name in names}
+    others = [name for name in VERBS if name not in known]
+    return {**grouped, **({"other": others} if others else {})}
+
+
+def _help_of(title: str, names: Sequence[str]) -> str:
+    return f"{title}:\n" + "".join(f"  {name:<12} {VERBS[name]}\n" for name in names)
 
 
 def refuse_typo(argv: Sequence[str]) -> None:

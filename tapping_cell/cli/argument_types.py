@@ -7,8 +7,10 @@ import argparse
 import math
 import re
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
+from tapping_cell.configuration.files import shared_folder
 from tapping_cell.configuration.hints import number_hint
 
 _NAMESPACE = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*/?")
@@ -42,6 +44,16 @@ def within(lowest: float, highest: float) -> Callable[[str], float]:
         return value
 
     return number
+
+
+def configuration_file(text: str) -> Path:
+    """Parse the path of a configuration file. A name in the package's folder ``config``, with or
+    without this folder, is found from every directory."""
+    given = Path(text).expanduser()
+    if given.exists() or given.is_absolute():
+        return given
+    below = Path(*given.parts[1:]) if given.parts[:1] == ("config",) else given
+    return shared_folder() / below if (shared_folder() / below).is_file() else given
 
 
 def whole_number(text: str) -> int:

@@ -57,7 +57,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--cell",
-        type=Path,
+        type=argument_types.configuration_file,
         default=None,
         help="cell file of the running cell (only with --preset; default: the package's cell.yaml)",
     )

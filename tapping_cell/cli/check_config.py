@@ -22,6 +22,7 @@ from typing import Any
 
 from rich.console import Console
 
+from tapping_cell.cli import argument_types
 from tapping_cell.cli.graph import HARDWARE, RECORDER, SIMULATED
 from tapping_cell.configuration.cell import CellFile, load_cell
 from tapping_cell.configuration.conflicts import conflicts
@@ -64,7 +65,11 @@ class Findings:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the verb."""
     parser.add_argument(
-        "files", nargs="+", type=Path, metavar="FILE", help="configuration file to check"
+        "files",
+        nargs="+",
+        type=argument_types.configuration_file,
+        metavar="FILE",
+        help="configuration file to check",
     )
     parser.add_argument(
         "--kind", choices=KINDS, help="kind of the files (default: inferred from the keys)"

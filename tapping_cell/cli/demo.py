@@ -109,8 +109,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     argument_types.add_seed(
         parser, 1, "random seed of the simulated world's noise and scatter (default: 1)"
     )
-    parser.add_argument("--cell", type=Path, help="cell file (default: the package's cell.yaml)")
-    parser.add_argument("--object", type=Path, help="object file (default: the cell's)")
+    parser.add_argument(
+        "--cell",
+        type=argument_types.configuration_file,
+        help="cell file (default: the package's cell.yaml)",
+    )
+    parser.add_argument(
+        "--object", type=argument_types.configuration_file, help="object file (default: the cell's)"
+    )
     add_truth_arguments(parser)
     parser.add_argument("--planner", help="planning method (default: the cell's)")
     parser.add_argument("--out", type=Path, help="run folder (default: a new folder in runs)")
@@ -270,7 +276,8 @@ def _verdict(record: Run, folder: Path, wall_time: float, console: Console) -> i
     if record.reached:
         console.print(
             f"[green]{what} reached[/green] in {counted(len(record.taps), 'tap')}, "
-            f"{wall_time:.0f} s; see {folder / 'report.html'}"
+            f"{record.wall_time:.1f} s from goal to end ({wall_time:.0f} s with start-up); "
+            f"see {folder / 'report.html'}"
         )
         return 0
     reason = record.error_msg or "the true pose of an object is outside its tolerance"

@@ -24,6 +24,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from tapping_cell.cli import argument_types
 from tapping_cell.cli.errors import print_error
 from tapping_cell.configuration.arm_assembly import joint_accelerations, make_dialect
 from tapping_cell.configuration.cell import (
@@ -61,7 +62,11 @@ class Row:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the verb."""
-    parser.add_argument("--cell", type=Path, help="cell file (default: the package's cell.yaml)")
+    parser.add_argument(
+        "--cell",
+        type=argument_types.configuration_file,
+        help="cell file (default: the package's cell.yaml)",
+    )
     parser.add_argument(
         "--write",
         action="store_true",

@@ -224,27 +224,27 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--cell",
-        type=Path,
+        type=argument_types.configuration_file,
         metavar="FILE",
         help="cell file (used with --model physics or world, with --table, and for a cell with "
         "fixed tappers; default: the package's cell.yaml)",
     )
     parser.add_argument(
         "--object",
-        type=Path,
+        type=argument_types.configuration_file,
         metavar="FILE",
         help="object file (used wherever --cell is used; default: the cell's)",
     )
     parser.add_argument(
         "--truth",
-        type=Path,
+        type=argument_types.configuration_file,
         metavar="FILE",
         help="file with the simulation parameters (used with --model physics or world, and with "
         "--table; default: the package's truth/default.yaml)",
     )
     parser.add_argument(
         "--truth-object",
-        type=Path,
+        type=argument_types.configuration_file,
         metavar="FILE",
         help="object file with the true parameters, if it differs from the planner's (used with "
         "--model physics or world; default: the planner's)",

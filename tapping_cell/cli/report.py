@@ -9,6 +9,11 @@ paths are given, those that are no runs are skipped.
     python -m tapping_cell report runs/2026-11-21_15-10-00_to_20_10_0
     python -m tapping_cell report runs/* --output comparison
     python -m tapping_cell report rescued/bag.mcap --output rescued --json
+
+With --video, a video of one run is written instead: its poses beside the images of the camera, in
+real time.
+
+    python -m tapping_cell report runs/2026-11-21_15-10-00_to_20_10_0 --video run.mp4
 """
 
 from __future__ import annotations
@@ -18,6 +23,7 @@ import dataclasses
 import json
 import math
 import os
+import time
 from pathlib import Path
 
 from rich.console import Console
@@ -38,7 +44,7 @@ from tapping_cell.report.run_folder import (
     write_folder,
     write_illustrated_run,
 )
-from tapping_cell.report.run_reader import IllustratedRun
+from tapping_cell.report.run_reader import IllustratedRun, read_illustrated_run
 from tapping_cell.report.tables import write_runs
 
 COMPARISON = "comparison.html"
@@ -57,11 +63,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "first run)",
     )
     parser.add_argument("--json", action="store_true", help="print the results as JSON")
+    parser.add_argument(
+        "--video",
+        type=Path,
+        metavar="FILE",
+        help="write a video of the run to this file, .mp4 or .gif, instead of the report",
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the verb. Return 0 if all runs were reported, 1 if some are unreadable, 2 if all are."""
     console = Console(stderr=arguments.json)
+    if arguments.video is not None:
+        return _video(arguments.runs, arguments.video, console)
     reports: list[tuple[Run, Path]] = []
     skipped = 0
     several = len(arguments.runs) > 1
@@ -100,6 +114,32 @@ def run(arguments: argparse.Namespace) -> int:
         console.print(table_of(rows))
         console.print(f"see {written}", highlight=False, soft_wrap=True)
     return 0 if len(reports) + skipped == len(arguments.runs) else 1
+
+
+def _video(runs: list[Path], file: Path, console: Console) -> int:
+    """Write the video of a run. Return 0, or 2 if it cannot be made."""
+    from tapping_cell.report.video import VideoError, write_video
+
+    if len(runs) > 1:
+        print_error(f"--video shows one run, and {len(runs)} are given; name one of them")
+        return 2
+    began = time.monotonic()
+    try:
+        path = runs[0] / BAG if (runs[0] / BAG).is_dir() else runs[0]
+        is_folder = path == runs[0] and _is_run_folder(path)
+        illustrated = (
+            IllustratedRun(read_run(path), ())
+            if is_folder
+            else read_illustrated_run(path, (path.parent if path.name == BAG else path).name)
+        )
+        length = write_video(file, illustrated)
+    except (BagError, RunError, VideoError, OSError) as error:
+        print_error(str(error))
+        return 2
+    size = file.stat().st_size / 1e6
+    words = f"{file}: {length:.1f} s, {size:.2f} MB, made in {time.monotonic() - began:.1f} s"
+    console.print(words, highlight=False, markup=False, soft_wrap=True)
+    return 0
 
 
 def no_run(path: Path) -> bool:

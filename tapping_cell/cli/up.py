@@ -74,8 +74,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="use the real camera, arm and tapper (default: simulated)",
     )
-    parser.add_argument("--cell", type=Path, help="cell file (default: the package's cell.yaml)")
-    parser.add_argument("--object", type=Path, help="object file (default: the cell's)")
+    parser.add_argument(
+        "--cell",
+        type=argument_types.configuration_file,
+        help="cell file (default: the package's cell.yaml)",
+    )
+    parser.add_argument(
+        "--object", type=argument_types.configuration_file, help="object file (default: the cell's)"
+    )
     parser.add_argument("--planner", help="planning method (default: the cell's)")
     argument_types.add_namespace(parser, "namespace of the nodes (default: none)")
     parser.add_argument(
@@ -344,13 +350,13 @@ def add_truth_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options that set the simulation parameters."""
     parser.add_argument(
         "--truth",
-        type=Path,
+        type=argument_types.configuration_file,
         help="file with the simulation parameters (only in simulation; default: the package's "
         "truth/default.yaml)",
     )
     parser.add_argument(
         "--truth-object",
-        type=Path,
+        type=argument_types.configuration_file,
         metavar="FILE",
         help="object file with the true parameters; needed only if the planner uses another file, "
         "such as a fitted one (only in simulation; default: the planner's file)",

@@ -32,10 +32,13 @@ def seconds(stamp: TimeMessage) -> float:
 
 
 def position_goal(
-    pose: Pose, tolerance: tuple[float, float], stamp: TimeMessage
+    pose: Pose, tolerance: tuple[float, float], stamp: TimeMessage, name: str = ""
 ) -> PositionObject.Goal:
-    """Return a goal in ``table``. A tolerance (m, rad) of 0 selects the cell's default."""
-    goal = PositionObject.Goal(position_tolerance=tolerance[0], angle_tolerance=tolerance[1])
+    """Return a goal in ``table`` of an object; without a name, it is the cell's own object. A
+    tolerance (m, rad) of 0 selects the cell's default."""
+    goal = PositionObject.Goal(
+        object_id=name, position_tolerance=tolerance[0], angle_tolerance=tolerance[1]
+    )
     goal.goal_pose.header.frame_id, goal.goal_pose.header.stamp = "table", stamp
     goal.goal_pose.pose = to_message(pose)
     return goal

@@ -9,12 +9,13 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon, Rectangle
+from matplotlib.patheffects import withStroke
 
 from tapping_cell.planning.evaluation.arrangements import ArrangementTrial
+from tapping_cell.report.palette import SERIES
 from tapping_cell.se2 import Array, Pose, transform_points
 
 MAX_SCENES = 6
-_COLOURS = 10
 
 
 def write_scenes(folder: Path, trials: Sequence[ArrangementTrial]) -> list[Path]:
@@ -49,7 +50,7 @@ def _draw(axes: Axes, trial: ArrangementTrial, number: int) -> None:
     for index, (name, outline) in enumerate(trial.outlines.items()):
         if name not in trial.history[0]:  # the object was not seen at the start
             continue
-        colour = f"C{index % _COLOURS}"
+        colour = SERIES[index % len(SERIES)]
         if name in trial.goals:
             ground = _ground(outline, trial.goals[name])
             axes.add_patch(Polygon(ground, fill=False, edgecolor=colour, linestyle="--"))
@@ -60,7 +61,12 @@ def _draw(axes: Axes, trial: ArrangementTrial, number: int) -> None:
             Polygon(_ground(outline, pose), facecolor=colour, edgecolor=colour, alpha=0.5)
         )
         axes.annotate(
-            name.rsplit(" ", 1)[-1], (1e3 * pose.x, 1e3 * pose.y), ha="center", va="center"
+            name.rsplit(" ", 1)[-1],
+            (1e3 * pose.x, 1e3 * pose.y),
+            ha="center",
+            va="center",
+            path_effects=[withStroke(linewidth=3, foreground="white")],
+            zorder=5,
         )
     axes.set(
         aspect="equal",

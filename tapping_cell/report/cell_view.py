@@ -20,6 +20,8 @@ from tapping_cell.report.words import counted, motion, remaining_error
 from tapping_cell.se2 import Array, Pose, transform_points
 
 MAX_IN_WORDS = 6
+NUMBER_MM = 20.0
+"""Distance between the numbers of two strikes in the plan of the table."""
 
 
 def draw_cell(run: Run, path: Path) -> None:
@@ -110,8 +112,9 @@ def _draw_table(axes: Axes, run: Run) -> None:
             Polygon(at_goal, facecolor=GOAL, alpha=0.15, edgecolor=GOAL, lw=2.0, ls="--")
         )
         axes.plot(*_heading(run, one.goal).T, color=GOAL, lw=2.0, ls="--")
+    numbered: list[Array] = []
     for tap in run.taps:
-        _draw_strike(axes, tap.strike, tap.number)
+        _draw_strike(axes, tap.strike, tap.number, numbered)
     # Legend entries for the outlines.
     axes.plot([], [], color=START, label="start")
     axes.plot([], [], color=REST, label="at rest after a tap")
@@ -122,13 +125,19 @@ def _draw_table(axes: Axes, run: Run) -> None:
     axes.set(xlim=(-x - 15, x + 15), ylim=(-y - 15, y + 15))
 
 
-def _draw_strike(axes: Axes, strike: Pose, number: int) -> None:
-    """Draw an arrow along the striker's travel, with its head at the object."""
+def _draw_strike(axes: Axes, strike: Pose, number: int, numbered: list[Array]) -> None:
+    """Draw an arrow along the striker's travel, with its head at the object. ``numbered``: places
+    of the numbers of earlier strikes, which the number keeps clear of; it is added."""
     along = np.array([math.cos(strike.theta), math.sin(strike.theta)])
     tip = 1000 * np.array([strike.x, strike.y])
     arrow = {"arrowstyle": "-|>", "color": STRIKE, "lw": 1.6}
-    head, tail, (x, y) = ((tip - length * along).tolist() for length in (0, 45, 54))
-    axes.annotate("", xy=head, xytext=tail, arrowprops=arrow)
+    head, tail = (tip - length * along for length in (0, 45))
+    axes.annotate("", xy=head.tolist(), xytext=tail.tolist(), arrowprops=arrow)
+    place = tip - 54 * along
+    while any(np.hypot(*(place - other)) < NUMBER_MM for other in numbered):
+        place = place - 4 * along
+    numbered.append(place)
+    x, y = place.tolist()
     axes.text(x, y, str(number), color=STRIKE, ha="center", va="center", fontsize=10)
 
 

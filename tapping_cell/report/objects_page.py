@@ -13,6 +13,7 @@ import numpy as np
 from tapping_cell.report.palette import INK, SERIES
 from tapping_cell.report.photograph import photograph
 from tapping_cell.report.rendering import render
+from tapping_cell.report.replay import player
 from tapping_cell.report.run import NOT_TRULY_REACHED, REACHED, Picture, Run, RunObject, TapRow
 from tapping_cell.report.run_reader import IllustratedRun
 from tapping_cell.report.svg import Plan
@@ -68,6 +69,7 @@ def page(illustrated: IllustratedRun) -> str:
         scenes=_scenes(run, moves, pictures),
         legend=[(f"{n + 1} {one.name}", _colour(n)) for n, one in enumerate(run.objects)],
         objects=_objects(run),
+        replay=player(run, illustrated.tracks, _plan(run, {})),
         moves=[_move(run, number, move) for number, move in enumerate(moves, start=1)],
         taps=_taps(run),
     )

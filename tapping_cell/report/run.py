@@ -234,6 +234,12 @@ class Run:
         return self.objects[0]
 
 
+Poses = list[tuple[float, Pose]]
+"""Poses with their times in s, in order of time."""
+TIP = "\0tip"
+"""Name of the striker's tip among recorded poses; no object has this name."""
+
+
 @dataclass(frozen=True, slots=True)
 class Picture:
     """A camera image with the detections drawn in: time in s since run start, and JPEG bytes."""

@@ -24,7 +24,6 @@ from tapping_cell.report.run import (
     UNFINISHED,
     ErrorEvent,
     Phase,
-    Picture,
     Run,
     RunObject,
     TapRow,
@@ -161,10 +160,10 @@ def write_folder(folder: Path, pictures: bool = True, source: Path | None = None
         elif (same or bag == folder / BAG) and _extent(kept) > _extent(run):
             reason = run.note or f"{bag} does not contain the end of the run"
             run = replace(kept, note=f"{SUMMARY} and {TAPS} are kept, because {reason}")
-            shown = illustrated.pictures if same else ()
-            _write_page(folder, IllustratedRun(run, shown), pictures)
+            shown = replace(illustrated, run=run) if same else IllustratedRun(run, ())
+            _write_page(folder, shown, pictures)
             return run
-    write_illustrated_run(folder, IllustratedRun(run, illustrated.pictures), pictures)
+    write_illustrated_run(folder, replace(illustrated, run=run), pictures)
     return run
 
 
@@ -203,10 +202,10 @@ def write_failure(
         if run.outcome != UNFINISHED:
             return
         run = replace(run, outcome=FAILED, error_code=code, error_msg=sentence)
-    pictures: tuple[Picture, ...] = ()
+    illustrated = IllustratedRun(run, ())
     with contextlib.suppress(BagError):
-        pictures = read_illustrated_run(folder / BAG, folder.name).pictures
-    write_illustrated_run(folder, IllustratedRun(run, pictures))
+        illustrated = replace(read_illustrated_run(folder / BAG, folder.name), run=run)
+    write_illustrated_run(folder, illustrated)
 
 
 def write_illustrated_run(folder: Path, illustrated: IllustratedRun, pictures: bool = True) -> None:

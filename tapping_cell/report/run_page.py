@@ -8,10 +8,10 @@ from datetime import datetime
 import numpy as np
 
 from tapping_cell.report import activities, palette
-from tapping_cell.report.animation import TAP_S, animation
 from tapping_cell.report.palette import GOAL, PREDICTED, REST, START
 from tapping_cell.report.photograph import photograph
 from tapping_cell.report.rendering import render, unbroken
+from tapping_cell.report.replay import player
 from tapping_cell.report.residual_charts import residual_charts
 from tapping_cell.report.run import (
     CANCELED,
@@ -70,8 +70,7 @@ def page(illustrated: IllustratedRun) -> str:
         results=_results(run),
         overview=overview(run),
         last_image=photograph(pictures[-1]) if pictures else None,
-        film=animation(run, _table_plan(run)),
-        film_tap_s=TAP_S,
+        replay=player(run, illustrated.tracks, _replay_plan(run)),
         charts=residual_charts([run], [REST]),
         timeline=_timeline(run),
         taps=[_tap(run, tap, pictures) for tap in run.taps],
@@ -139,6 +138,20 @@ def _table_plan(run: Run) -> Plan:
     if not half.any():
         low, high = window([(1000 * p.x, 1000 * p.y) for p in places], 60.0, 200.0)
     plan = Plan((low[0], low[1]), (high[0], high[1]))
+    if half.any():
+        plan.table(half)
+    return plan
+
+
+def _replay_plan(run: Run) -> Plan:
+    """Create a plan of the part of the table in which the object and the strikes are."""
+    poses = [pose for tap in run.taps for pose in (tap.before, tap.predicted, tap.measured)]
+    poses += [pose for pose in (run.first.start, run.first.goal) if pose is not None]
+    rim = 1000 * float(np.max(np.hypot(*_outline(run).T), initial=0.02))
+    near = [(1000 * p.x, 1000 * p.y) for p in poses if math.isfinite(p.x)]
+    low, high = window(near, rim + 95.0, 200.0)
+    plan = Plan((low[0], low[1]), (high[0], high[1]))
+    half = 500 * np.asarray(run.table_size)
     if half.any():
         plan.table(half)
     return plan

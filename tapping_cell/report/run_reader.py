@@ -6,7 +6,7 @@ import bisect
 import json
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,10 +21,12 @@ from tapping_cell.report.run import (
     NOT_TRULY_REACHED,
     REACHED,
     REFUSED,
+    TIP,
     UNFINISHED,
     ErrorEvent,
     Phase,
     Picture,
+    Poses,
     Run,
     RunObject,
     TapRow,
@@ -44,16 +46,19 @@ SAME_TIME_S = 1e-6
 _FINAL_WORDS = ("reached", "failed", "canceled")
 NOT_MOVED = "not moved"
 """Outcome of an object that had no goal and was not tapped."""
-Poses = list[tuple[float, Pose]]
-"""Poses of one object with their times in s, in order of time."""
 
 
 @dataclass(frozen=True, slots=True)
 class IllustratedRun:
-    """A run and its camera images, in order of time."""
+    """A run and its camera images, in order of time.
+
+    ``tracks``: recorded poses of each object and of the striker's tip (``TIP``), at times since
+    the start of the run.
+    """
 
     run: Run
     pictures: tuple[Picture, ...]
+    tracks: Mapping[str, Poses] = field(default_factory=dict)
 
 
 def inside(goal: Pose, pose: Pose | None, tolerance: tuple[float, float]) -> bool:
@@ -83,7 +88,7 @@ def illustrated_run(bag: Bag, name: str) -> IllustratedRun:
     notes = notes_of(bag)
     try:
         run = (_arranged if notes.get("arrangement") else _positioned)(bag, name, notes)
-        return IllustratedRun(run, pictures_of(bag, run.began))
+        return IllustratedRun(run, pictures_of(bag, run.began), _tracks(bag, run))
     except AttributeError as error:  # a message lacks a field
         raise BagError(f"{bag.path} is damaged: {error}") from error
 
@@ -313,6 +318,25 @@ def _poses(bag: Bag, topic: str) -> dict[str, Poses]:
                     (seconds_of(message.header.stamp), from_message(state.pose.pose))
                 )
     return found
+
+
+def _tracks(bag: Bag, run: Run) -> dict[str, Poses]:
+    """Return the recorded poses of the objects and of the striker's tip during a run."""
+    if len(run.objects) > 1:
+        found = _poses(bag, "object_states")
+    else:
+        states = ((seconds_of(m.header.stamp), m) for _, m in bag.of("object_state") if m.visible)
+        found = {run.first.name: [(at, from_message(m.pose.pose)) for at, m in states]}
+    arm = ((seconds_of(m.header.stamp), m) for _, m in bag.of("arm_state") if m.homed)
+    found[TIP] = [(at, from_message(m.tip_pose)) for at, m in arm]
+    return {
+        name: [
+            (at - run.began, pose)
+            for at, pose in poses
+            if 0.0 <= at - run.began <= run.wall_time + TRUTH_WITHIN_S
+        ]
+        for name, poses in found.items()
+    }
 
 
 def pictures_of(bag: Bag, began: float) -> tuple[Picture, ...]:

@@ -35,6 +35,7 @@ def annotate(
     goal: Pose | None = None,
     references: ReferenceMap | None = None,
     unknown: Sequence[Array] = (),
+    name: str = "",
 ) -> NDArray[np.uint8]:
     """Return a colour image (BGR, uint8, height x width x 3) of one frame and its observation.
 
@@ -42,7 +43,7 @@ def annotate(
     of its top. ``goal`` is the object's goal pose in ``table``. ``references`` are drawn at their
     positions in the table file: in blue if they were used in this frame, otherwise in red.
     ``unknown`` are the outlines (N, 2) in ``table`` of the objects without an object file; they are
-    drawn in red. Text is in mm and degrees.
+    drawn in red. ``name`` of the object precedes its state. Text is in mm and degrees.
     """
     picture = np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR), dtype=np.uint8)
     points = np.asarray(outline, dtype=float)
@@ -58,7 +59,7 @@ def annotate(
         if observation.pose is not None:
             _outline(picture, view, points, observation.pose, height, _state(observation)[1])
             _axes(picture, view, observation.pose, height, 0.03)
-    _caption(picture, observation, goal)
+    _caption(picture, observation, goal, name)
     return picture
 
 
@@ -124,7 +125,9 @@ def _fixed(pixels: Array) -> NDArray[np.int32]:
     return np.asarray(np.round(np.clip(pixels, -4000, 8000) * 2**_FINE), dtype=np.int32)
 
 
-def _caption(picture: NDArray[np.uint8], observation: Observation, goal: Pose | None) -> None:
+def _caption(
+    picture: NDArray[np.uint8], observation: Observation, goal: Pose | None, name: str
+) -> None:
     texts: list[tuple[str, Colour]] = []
     pose = observation.pose
     if pose is not None and observation.covariance is not None:
@@ -134,7 +137,8 @@ def _caption(picture: NDArray[np.uint8], observation: Observation, goal: Pose | 
             f"theta {math.degrees(pose.theta):+.2f} deg   "
             f"(sd {max(sigma[:2]) * 1e3:.3f} mm, {math.degrees(sigma[2]):.3f} deg)"
         )
-        texts += [_state(observation), (values, WHITE)]
+        state, colour = _state(observation)
+        texts += [(f"{name}   {state}".lstrip(), colour), (values, WHITE)]
         if goal is not None:
             distance, rotation = pose.distance_to(goal), pose.rotation_to(goal)
             left = f"to the goal: {distance * 1e3:.2f} mm, {math.degrees(rotation):+.2f} deg"

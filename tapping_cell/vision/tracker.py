@@ -67,7 +67,9 @@ class PoseTracker:
     ``camera`` is the calibrated camera and ``table`` the map of reference markers. ``seen`` is the
     object's marker or its outline, and ``others`` are the markers or outlines of the other objects.
     ``hidden`` returns the ids of the reference markers that are known to be hidden now, about which
-    no warning is needed. Pass frames to :meth:`update` in the order in which they were captured.
+    no warning is needed. Other missing or displaced reference markers are reported after
+    ``patience`` (s), because an arm that moves hides a marker before its position is known. Pass
+    frames to :meth:`update` in the order in which they were captured.
     """
 
     def __init__(
@@ -78,9 +80,12 @@ class PoseTracker:
         settings: TrackerSettings | None = None,
         others: Sequence[ObjectMarker | ObjectOutline] = (),
         hidden: Callable[[], Collection[int]] = tuple,
+        patience: float = 0.0,
     ) -> None:
         s = settings or TrackerSettings()
         self._hidden = hidden
+        self._patience = patience
+        self._amiss_since: dict[int, float] = {}
         self.camera = camera
         self.settings = s
         self.table = TableTracker(camera, table, s.table)
@@ -331,15 +336,19 @@ class PoseTracker:
     def _notice(self, stamp: float) -> str:
         """Warning about the table for this frame; empty if there is none."""
         since, sentence = self._warning
-        if stamp - since > _WARNED:
-            missed = self._references.missed
-            if missed:
-                expected = set(self._hidden())
-                missed = [row for row in missed if int(self.table.ids[row]) not in expected]
-            return table_notice(self.table, self._references.repeated, missed)
-        if self.table.displaced:
-            return table_notice(self.table, [], [])
-        return sentence
+        warned = stamp - since <= _WARNED
+        missed = [] if warned else [int(self.table.ids[row]) for row in self._references.missed]
+        if missed:
+            expected = set(self._hidden())
+            missed = [marker for marker in missed if marker not in expected]
+        amiss = {*self.table.displaced, *missed}
+        self._amiss_since = {each: self._amiss_since.get(each, stamp) for each in amiss}
+        lasting = {e for e, at in self._amiss_since.items() if stamp - at >= self._patience}
+        displaced = [marker for marker in self.table.displaced if marker in lasting]
+        if warned and not displaced:
+            return sentence
+        repeated = [] if warned else self._references.repeated
+        return table_notice(displaced, repeated, [each for each in missed if each in lasting])
 
 
 def _follower(

@@ -114,9 +114,10 @@ class Page:
     def way_back(self) -> None:
         """Follow the numbered recovery steps after a stop until the cell is ready."""
         # The tapper clears its stop only within 10 s after the clear button at the cell was
-        # pressed, so each attempt presses it again.
+        # pressed, so each attempt presses it again if necessary.
         for _ in range(5):
-            self.element("step-press-button").click()
+            for button in self.driver.find_elements("id", "step-press-button"):
+                button.click()  # missing while the last press counts
             self.element("step-clear").click()
             self.element("confirm-yes").click()
             end = time.monotonic() + 8.0

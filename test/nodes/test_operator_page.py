@@ -387,7 +387,10 @@ def test_stop_and_clear_reach_the_cell_and_a_missing_driver_is_reported(cell: Ce
             cell.publish("scara_arm/stop_state", held)
             await page.state(lambda s: "of /panel" in json.dumps(s["recovery"]))
             log = (await page.state(lambda s: len(s["log"]) >= 2))["log"]
-            assert any("STOP pressed on the page" in line["text"] for line in log)
+            # The reports of page and arm about one stop are one event.
+            assert [line["text"].split(" (")[0] for line in log if line["kind"] == "bad"] == [
+                "STOP pressed on the page"
+            ]
 
     play(scenario)
     assert cleared == ["scara_arm"]
@@ -536,7 +539,14 @@ def test_several_objects_are_placed_by_a_preset_and_sent_as_one_arrangement(tmp_
                 assert "is not seen" in (await page.answer("arrange"))["text"]
                 cell.publish("object_states", states)
                 shown = await page.state(lambda s: s["arrangement"]["objects"][1]["pose"])
-                assert shown["arrangement"]["objects"][1]["pose"] == [100.0, 50.0, 57.3]
+                row = shown["arrangement"]["objects"][1]
+                assert row["pose"] == [100.0, 50.0, 57.3] and row["at_rest"]
+                assert shown["drafts"] is None
+                draft = {"object": other, "x": 20, "y": -10, "angle": 30}
+                await page.send({"do": "drafts", "goals": [draft]})
+                async with cell.open() as second:  # as after a reload
+                    found = await second.state(lambda s: s["drafts"])
+                    assert found["drafts"] == [[other, 20.0, -10.0, 30.0]]
                 await page.send({"do": "preset", "preset": "swap", "objects": [own, other]})
                 preset = await page.receive(lambda m: isinstance(m, dict) and m["type"] == "preset")
                 assert preset["goals"] == [[own, 100.0, 50.0, 57.3], [other, -100.0, 0.0, 0.0]]
@@ -554,6 +564,7 @@ def test_several_objects_are_placed_by_a_preset_and_sent_as_one_arrangement(tmp_
                 await page.send({"do": "arrange", "goals": goals})
                 state = await page.state(lambda s: s["arrangement"]["active"])
                 assert set(state["arrangement"]["progress"]) == {own, other}
+                assert [row[:2] for row in state["drafts"]] == [[other, -150.0], [own, 20.0]]
                 await page.send({"do": "cancel"})
                 assert (await page.answer("cancel"))["ok"]
                 state = await page.state(lambda s: not s["arrangement"]["active"])

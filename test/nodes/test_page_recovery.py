@@ -35,6 +35,20 @@ def test_after_a_stop_each_recovery_step_is_marked_done() -> None:
     assert shown(recovery, lost, safe) == ["home:now"]
 
 
+def test_a_press_of_the_simulated_button_counts_down_until_the_tapper_forgets_it() -> None:
+    recovery, tapper = Recovery(), TapperState(state=TapperState.STOPPED)
+
+    def step(now: float) -> tuple[str, str]:
+        found = recovery.steps(None, tapper, [], simulated=True, now=now)[1]
+        return found.state, found.text
+
+    assert step(100.0)[0] == "now"
+    recovery.press(101.0)
+    assert step(101.5) == ("done", "The clear button was pressed: clear the faults within 10 s.")
+    assert "within 1 s" in step(110.5)[1]
+    assert step(111.0)[0] == "now" and "Press the clear button" in step(111.0)[1]
+
+
 def test_a_fault_of_the_arm_alone_does_not_ask_for_the_tappers_button() -> None:
     recovery = Recovery()
     fault = ArmState(state=ArmState.FAULT, homed=True)

@@ -79,7 +79,7 @@ HOMES = {
     "distributed": {"cli"},
     "rich": {"cli", "report"},
     "rosbags": {"report"},
-    "PIL": {"vision"},
+    "PIL": {"vision", "report"},
     "tornado": {"nodes"},
     "argcomplete": {"cli"},
     "gymnasium": {"tapping_env"},

@@ -80,6 +80,10 @@ CODES = {
 TABLE_SEEN = (ErrorCode.NONE, ErrorCode.OBJECT_NOT_SEEN, ErrorCode.MARKER_AMBIGUOUS)
 """Error codes of object states for which the table was located in the image."""
 
+REFERENCE_PATIENCE_S = 4.0
+"""Time after which a missing reference marker is reported in a cell with an arm, s; longer than a
+marker is hidden during a tap. The positions of a moving arm arrive late, and are unknown before
+the arm is homed."""
 WATCH_PERIOD_S = 0.05
 """Period of the check for missing images."""
 MISSED_LOG_PERIOD = 5
@@ -265,7 +269,13 @@ class CameraPose(CellNode[Parameters]):
         settings = TrackerSettings(other_ids=marker_ids([seen, *others]))
         self._late = 0
         self._tracker = PoseTracker(
-            camera, cell.references, seen, settings, others, self._hidden_references
+            camera,
+            cell.references,
+            seen,
+            settings,
+            others,
+            self._hidden_references,
+            0.0 if self._arm is None else REFERENCE_PATIENCE_S,
         )
         self._turns = RoundRobin(len(others))
 
@@ -321,7 +331,8 @@ class CameraPose(CellNode[Parameters]):
         self._search_unknown(grey, stamp)
         self._frames += 1
         self._busy_seconds += time.perf_counter() - began
-        self._annotate(message, grey, observation)
+        shown = next(((self._other_files[n], others[n]) for n in tapped if n in others), None)
+        self._annotate(message, grey, *(shown or (self._cell_object, observation)))
         self._publish_others(message, others)
 
     @property
@@ -462,21 +473,26 @@ class CameraPose(CellNode[Parameters]):
         self._last = _empty_state(picture, self._cell.object.name, code, sentence)
         self._state_publisher.publish(self._last)
 
-    def _annotate(self, message: Image, grey: NDArray[np.uint8], observation: Observation) -> None:
+    def _annotate(
+        self,
+        message: Image,
+        grey: NDArray[np.uint8],
+        file: ObjectFile,
+        observation: Observation,
+    ) -> None:
+        """Publish the image with one object: the object that is being tapped, else the cell's."""
         if not self._annotated.is_due(time.monotonic()):
             return
-        assert self._cell is not None and self._tracker is not None
-        # The image shows the outline of the cell's own object, so a goal is drawn only if it is the
-        # goal of this object.
-        own = self._tapped in ("", self._cell.object.name)
+        assert self._tracker is not None
         picture = annotate(
             grey,
             self._tracker.view,
             observation,
-            self._cell.outline(),
-            self._cell.object.height,
-            self._goal if own else None,
+            file.shape.outline(),
+            file.height,
+            self._goal if self._tapped in ("", file.name) else None,
             unknown=[] if self._unknown is None else self._unknown.outlines,
+            name=file.name if self._other_files else "",
         )
         self._annotated.publish(picture, message.header, time.monotonic())
 

@@ -33,6 +33,8 @@ from tapping_cell.planning.fixed_tappers import FixedStrikeSpace
 from tapping_cell.report.words import PROGRESS, counted, word
 from tapping_cell.se2 import Pose
 
+Drawing = Callable[[str, Pose], "dict[str, object] | None"]
+
 
 class Arrangements:
     """The objects of the cell, and arrangements that pages send. Called in the executor's thread.
@@ -50,6 +52,8 @@ class Arrangements:
         self._states: dict[str, ObjectState] = {}
         self._unknown = 0
         self._progress = ArrangementState()
+        self.drafts: dict[str, Pose] | None = None
+        """Goals that the operator has placed, by object; None until a page has placed one."""
 
     def use_cell(self, cell: Cell) -> None:
         """Use the objects of this cell. Raises ConfigurationError for an invalid object file."""
@@ -83,12 +87,12 @@ class Arrangements:
         """Discard the received states when no page is open."""
         self._states, self._progress, self._unknown = {}, ArrangementState(), 0
 
-    def state(self) -> dict[str, object]:
+    def state(self, drawing: Drawing) -> dict[str, object]:
         """Return the objects and the progress of the last arrangement for the page, in mm and
-        degrees."""
+        degrees. ``drawing``: outline of an object at a pose in the image."""
         progress = self._progress
         return {
-            "objects": [self._object_row(name) for name in self.names],
+            "objects": [self._object_row(name, drawing) for name in self.names],
             "unknown": self._unknown,
             "active": self.active,
             "taps": progress.taps,
@@ -141,14 +145,19 @@ class Arrangements:
         self._unknown = len(message.unknown_objects)
 
     def _on_progress(self, message: ArrangementState) -> None:
+        if message.active and not self.active:
+            # Pages show the goals of an arrangement, whoever sent it.
+            goals = {o.object_id: from_message(o.goal_pose) for o in message.objects if o.has_goal}
+            self.drafts = {**(self.drafts or {}), **goals}
         self._progress = message
 
-    def _object_row(self, name: str) -> dict[str, object]:
+    def _object_row(self, name: str, drawing: Drawing) -> dict[str, object]:
         state = self._states.get(name)
-        pose = None
-        if state is not None and state.visible:
-            pose = triple(from_message(state.pose.pose))
-        return {"name": name, "pose": pose}
+        if state is None or not state.visible:
+            return {"name": name, "pose": None}
+        pose = from_message(state.pose.pose)
+        row = {"name": name, "pose": triple(pose), "at_rest": state.at_rest}
+        return {**row, **(drawing(name, pose) or {})}
 
 
 def progress_row(one: ObjectProgress) -> dict[str, object]:

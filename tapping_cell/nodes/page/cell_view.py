@@ -6,6 +6,7 @@ import math
 import time
 from collections import deque
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from tapping_cell_msgs.msg import (
@@ -33,6 +34,9 @@ from tapping_cell.se2 import Pose
 
 SILENCE_LIMIT_S = 1.5
 LOG_LENGTH = 200
+ONE_STOP_S = 3.0
+"""Time within which the reports of a stop from page, devices and planner belong together."""
+STOPS = (ErrorCode.ARM_STOPPED, ErrorCode.TAPPER_STOPPED, ErrorCode.EMERGENCY_STOP)
 OUTCOMES = {TapperState.FIRED: "fired", TapperState.NOT_FIRED: "not fired"}
 
 ARM_TEXTS = {
@@ -98,6 +102,16 @@ class Mode(NamedTuple):
     code: int = ErrorCode.NONE
 
 
+@dataclass
+class Halt:
+    """The last stop in the log: its entry, time (s), text, and the goal that it ended."""
+
+    entry: dict[str, object]
+    at: float
+    text: str
+    ended: str = ""
+
+
 def with_code(sentence: str, code: int) -> str:
     """Append the error code to a message; return the message unchanged if the code is 0."""
     return f"{sentence} ({code})" if code else sentence
@@ -114,8 +128,12 @@ class CellView:
         self._own_goal: Pose | None = None
         self._report: GoalReport | None = None
         self._log: deque[dict[str, object]] = deque(maxlen=LOG_LENGTH)
+        self._halt: Halt | None = None
+        self._expected: int | None = None
         self._mode = ""
-        self._recovery = Recovery()
+        self.recovery = Recovery()
+        self.names: list[str] = []
+        """Names of the objects in a cell that can arrange several."""
         self.emergency_stop = False
         self.held_by_page = False
         self.stops: dict[str, tuple[str, ...]] = {}
@@ -154,10 +172,29 @@ class CellView:
         """Add a log entry. ``kind`` is "good", "bad" or empty, ``at`` is the time in s."""
         self._log.append({"time": round(at or time.time(), 1), "text": text, "kind": kind})
 
-    def note_own_goal(self, goal: Pose, who: str) -> None:
+    def note_halt(
+        self, text: str, *, pressed: bool = False, ended: str = "", at: float | None = None
+    ) -> None:
+        """Log a stop. Reports of one stop from several sources become one entry: the button that
+        was ``pressed``, else the first report, and the goal that it ``ended``."""
+        at = at or time.time()
+        halt = self._halt
+        if halt is None or not abs(at - halt.at) < ONE_STOP_S:
+            self.note(text, "bad", at)
+            halt = self._halt = Halt(self._log[-1], at, text)
+        elif pressed:
+            halt.text = text
+        halt.ended = ended or halt.ended
+        halt.entry["text"] = halt.text + (f"; the {halt.ended} ended" if halt.ended else "")
+
+    def note_own_goal(self, goal: Pose, who: str, name: str = "") -> None:
         """Log that a page sends a goal."""
         self._own_goal = goal
-        self.note(f"goal {pose_text(goal)} sent from the page ({who})")
+        self.note(f"{self._goal_of(name)} {pose_text(goal)} sent from the page ({who})")
+
+    def _goal_of(self, name: str) -> str:
+        """Return "goal", with the name of its object in a cell that can arrange several."""
+        return f"goal of {name}" if name and self.names else "goal"
 
     def on_plan(self, message: PlanState) -> None:
         """Process ``plan_state``: a new goal, a tap, an end."""
@@ -175,7 +212,12 @@ class CellView:
             goal = from_message(message.goal.pose)
             own, self._own_goal = self._own_goal, None
             if own is None or own.distance_to(goal) > 1e-6:
-                self.note(f"goal {pose_text(goal)}")
+                self.note(f"{self._goal_of(message.object_id)} {pose_text(goal)}")
+        planned = message.planned_tap
+        if not self.busy:
+            self._expected = None
+        elif planned.tap_id and planned.expected_taps > 0.0:
+            self._expected = planned.number - 1 + max(1, round(planned.expected_taps))
 
     def on_report(self, message: GoalReport) -> None:
         """Process ``goal_report``: the end of a goal, including a refused goal."""
@@ -183,10 +225,14 @@ class CellView:
             return
         self._report = message
         sentence, kind = with_code(message.error_msg, message.error_code), "bad"
+        goal = self._goal_of(message.object_id)
         if message.refused:
-            sentence = f"goal refused: {sentence}"
+            sentence = f"{goal} refused: {sentence}"
         elif not message.error_code:
-            sentence, kind = f"goal reached after {counted(message.taps, 'tap')}", "good"
+            sentence, kind = f"{goal} reached after {counted(message.taps, 'tap')}", "good"
+        elif message.error_code in STOPS:
+            self.note_halt(sentence, ended=goal, at=seconds(message.header.stamp))
+            return
         elif message.state == PlanState.CANCELED:
             kind = ""
         # The last report is sent again to every new subscriber, so the log entry has the report's
@@ -230,12 +276,11 @@ class CellView:
         if self.busy:
             assert self._plan is not None
             if self._plan.state == PlanState.CONFIRMING:
-                number = self._plan.planned_tap.number
-                return Mode("waiting", f"tap {number} waits for your confirmation")
+                return Mode("waiting", f"{self._tap_words()} waits for your confirmation")
             missing = self._monitor.missing(_now())
             if self._plan.state == PlanState.WAITING_FOR_CELL and missing is not None:
                 return Mode("not ready", f"the goal waits: {missing[1]}", missing[0])
-            return Mode("moving", f"tap {self._plan.taps + 1}: {PHASES[self._plan.state]}")
+            return Mode("moving", f"{self._tap_words()}: {PHASES[self._plan.state]}")
         if arm is not None and arm.state in ARM_BUSY and not self._monitor.silent("arm", _now()):
             return Mode("moving", f"the arm is {ARM_TEXTS[arm.state]}")
         if tapper is not None and tapper.state in TAPPER_BUSY:
@@ -250,12 +295,22 @@ class CellView:
             return Mode("not ready", "the planner sends no messages; start tap_planner")
         return Mode("ready", "the cell accepts goals")
 
+    def _tap_words(self) -> str:
+        """Name the present tap, as in "disk 3, tap 2 of about 3"."""
+        assert self._plan is not None
+        number = self._plan.planned_tap.number or self._plan.taps + 1
+        whose = f"{self._plan.object_id}, " if self.names and self._plan.object_id else ""
+        about = "" if self._expected is None else f" of about {max(number, self._expected)}"
+        return f"{whose}tap {number}{about}"
+
     def state(self) -> dict[str, object]:
         """Return the current state of the cell, as the page displays it."""
         mode = self.mode()
         sentence = with_code(mode.sentence, mode.code)
         if mode.word != self._mode:
-            if mode.word in ("stopped", "fault"):
+            if mode.word == "stopped":
+                self.note_halt(sentence)
+            elif mode.word == "fault":
                 self.note(sentence, "bad")
             self._mode = mode.word
         return {
@@ -283,7 +338,9 @@ class CellView:
         holders = ["this page's STOP"] if self.held_by_page else []
         holders += sorted({source for sources in self.stops.values() for source in sources})
         arm, tapper = self._recent("arm"), self._recent("tapper")
-        return self._recovery.steps(arm, tapper, holders, self.simulated, self.has_arm)
+        return self.recovery.steps(
+            arm, tapper, holders, self.simulated, self.has_arm, time.monotonic()
+        )
 
     def _blocked(self, mode: Mode) -> str:
         """Return the reason why no goal can be sent now, or an empty text."""
@@ -414,6 +471,7 @@ def tap_row(tap: TapRecord, goal: Pose) -> dict[str, object]:
     after = error_pair(measured.distance_to(goal), measured.rotation_to(goal)) if seen else None
     return {
         "tap_id": tap.tap_id,
+        "object": tap.object_id,
         "number": tap.number,
         "method": tap.planner,
         "commanded": triple(Pose(tap.dx, tap.dy, tap.dtheta)),

@@ -56,7 +56,6 @@ class Ghost:
             BadRequest: the pixel does not show the table.
         """
         pose = self.pose(request)
-        corners = transform_points(pose, self.outline)
         x, y = pose.x, pose.y
         handle = transform_points(pose, [[self._arm(), 0.0]])
         return {
@@ -66,8 +65,7 @@ class Ghost:
             "x": round(1e3 * x, 2),
             "y": round(1e3 * y, 2),
             "angle": round(math.degrees(math.remainder(pose.theta, math.tau)), 2),
-            "outline": self._seen(corners),
-            "centre": self._seen([[x, y]])[0],
+            **self.at(pose),
             "handle": self._seen(handle)[0],
             "right": self._right(x, y),
             "refusal": self.refusal(pose),
@@ -92,6 +90,12 @@ class Ghost:
             "way": self._seen([[before.x, before.y], [predicted.x, predicted.y]]),
             "ellipse": self._seen(centre + circle @ axes.T),
         }
+
+    def at(self, pose: Pose) -> dict[str, object]:
+        """Return the ``outline`` and the ``centre`` of the object at a pose, in fractions of the
+        image size."""
+        corners = self._seen(transform_points(pose, self.outline))
+        return {"outline": corners, "centre": self._seen([[pose.x, pose.y]])[0]}
 
     def pose(self, request: Move | Turn | Place) -> Pose:
         """Return the pose that a request refers to.

@@ -23,6 +23,7 @@ from tapping_cell.nodes.page.arrangements import Arrangements
 from tapping_cell.nodes.page.ghost import Ghost
 from tapping_cell.nodes.page.requests import BadRequest, Move, Place, Turn
 from tapping_cell.nodes.page.server import Answer
+from tapping_cell.se2 import Pose
 from tapping_cell.vision import CameraError, CameraModel, View
 
 Asked = TypeVar("Asked")
@@ -137,6 +138,11 @@ class GoalPreview:
             )
             self._drawn = tap.tap_id, drawing
         return self._drawn[1]
+
+    def at(self, name: str, pose: Pose) -> dict[str, object] | None:
+        """Return the drawing of an object at a pose; None while the camera's pose is unknown."""
+        ghost = self._ghosts.get(name)
+        return None if ghost is None else ghost.at(pose)
 
     def _answer(self, asked: tuple[Move | Turn | Place, Answer]) -> None:
         """Answer a request. Called in the previews' thread."""

@@ -51,6 +51,7 @@ from tapping_cell.nodes.page.requests import (
     Arrange,
     Command,
     Confirm,
+    Drafts,
     ForgetGoal,
     Move,
     NameGoal,
@@ -177,6 +178,7 @@ class OperatorPage(CellNode[Parameters]):
         """Read the cell file, and create the check for goals that the planner would refuse."""
         cell = self.settings.load_cell()
         self._arrangements.use_cell(cell)
+        self._view.names = self._arrangements.names
         self._cell = cell
 
     def activate(self) -> None:
@@ -343,13 +345,17 @@ class OperatorPage(CellNode[Parameters]):
         state["planner"] = self._planning_method()
         state["nodes"] = self._watch.rows()
         state["placeable"] = self._preview.is_possible
-        state["arrangement"] = self._arrangements.state()
+        state["arrangement"] = self._arrangements.state(self._preview.at)
+        drafts = self._arrangements.drafts
+        state["drafts"] = drafts and [[name, *triple(pose)] for name, pose in drafts.items()]
         state["runs_hint"] = self._runs_hint()
         state["planned_drawing"] = self._preview.planned(
             self._view.planned, self._view.planned_object
         )
         state["queue"] = {
-            "rows": [[number, *triple(goal.pose)] for number, goal in self._queue.rows()],
+            "rows": [
+                [number, *triple(goal.pose), goal.object] for number, goal in self._queue.rows()
+            ],
             "running": self._queue.running,
             "held": self._queue.held,
         }
@@ -407,6 +413,8 @@ class OperatorPage(CellNode[Parameters]):
                 self._send_goal(request, who, answer)
             case Arrange():
                 self._arrangements.send(request, who, answer)
+            case Drafts(goals):
+                self._arrangements.drafts = dict(goals)
             case Preset():
                 self._arrangements.preset(request, answer)
             case Confirm():
@@ -428,7 +436,7 @@ class OperatorPage(CellNode[Parameters]):
 
     def _note_stop(self, held: bool, who: str) -> None:
         if held and who:
-            self._view.note(f"STOP pressed on the page ({who})", "bad")
+            self._view.note_halt(f"STOP pressed on the page ({who})", pressed=True)
         if not held:
             answers, self._clearing = self._clearing, []
             for answer in answers:
@@ -469,7 +477,10 @@ class OperatorPage(CellNode[Parameters]):
             match request:
                 case QueueGoal(pose):
                     assert self._cell is not None
-                    refusal = self._arrangements.checks[self._cell.object.name].refusal(pose)
+                    check = self._arrangements.checks.get(request.object or self._cell.object.name)
+                    if check is None:
+                        raise QueueFull(f"the cell has no object '{request.object}'")
+                    refusal = check.refusal(pose)
                     if refusal:
                         raise QueueFull(f"the planner would refuse this goal: {refusal}")
                     self._queue.add(request)
@@ -504,14 +515,14 @@ class OperatorPage(CellNode[Parameters]):
 
     def _send_goal(self, wanted: RequestedGoal, who: str, answer: server.Answer) -> None:
         now = self.get_clock().now().to_msg()
-        goal = position_goal(wanted.pose, wanted.tolerance, now)
+        goal = position_goal(wanted.pose, wanted.tolerance, now, wanted.object)
 
         def on_response() -> None:
             self._answer_due = time.monotonic() + STATE_PERIOD_S  # until plan_state contains it
 
         if send_goal(self._action, goal, "goal", "goal", answer, on_response):
             self._answer_due = time.monotonic() + ANSWER_S
-            self._view.note_own_goal(wanted.pose, who)
+            self._view.note_own_goal(wanted.pose, who, wanted.object)
 
     def _cancel(self, who: str, answer: server.Answer) -> None:
         def on_reply(response: Trigger.Response) -> None:
@@ -546,8 +557,14 @@ class OperatorPage(CellNode[Parameters]):
         call_service(self._private.client(ARM, "home"), Trigger.Request(), "home", ARM, answer)
 
     def _press_button(self, _: str, answer: server.Answer) -> None:
-        client, name = self._private.client("sim_world", "press_clear_button"), "the clear button"
-        call_service(client, Trigger.Request(), "press_button", name, answer)
+        def on_reply(response: Trigger.Response) -> None:
+            if response.success:
+                self._view.recovery.press(time.monotonic())
+            answer(answer_to("press_button", response.success, response.message))
+
+        client = self._private.client("sim_world", "press_clear_button")
+        name = "the clear button"
+        call_service(client, Trigger.Request(), "press_button", name, answer, on_reply)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -75,10 +75,11 @@ class Place:
 @dataclass(frozen=True, slots=True)
 class RequestedGoal:
     """Goal in ``table``, with its tolerance in m and rad. A tolerance of 0 selects the cell's
-    default."""
+    default. ``object``: name of the object; if empty, it is the cell's own object."""
 
     pose: Pose
     tolerance: tuple[float, float] = (0.0, 0.0)
+    object: str = ""
 
 
 class SendGoal(RequestedGoal):
@@ -97,6 +98,13 @@ class Arrange:
     goals: tuple[tuple[str, Pose], ...]
     tolerance: tuple[float, float] = (0.0, 0.0)
     in_order: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Drafts:
+    """Goals that the operator has placed but not sent, by object. Every page shows them."""
+
+    goals: tuple[tuple[str, Pose], ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,6 +173,7 @@ Request = (
     Frequent
     | SendGoal
     | Arrange
+    | Drafts
     | Preset
     | QueueGoal
     | Unqueue
@@ -225,11 +234,11 @@ def _pose(content: Content) -> Pose:
     )
 
 
-def _goals(content: Content) -> tuple[tuple[str, Pose], ...]:
+def _goals(content: Content, least: int = 1) -> tuple[tuple[str, Pose], ...]:
     """Parse the goals of an arrangement, each for a different object."""
     rows = [each for each in _list(content, "goals") if isinstance(each, dict)]
     goals = tuple((_name(row, "object"), _pose(row)) for row in rows)
-    if not goals or len(dict(goals)) < len(_list(content, "goals")):
+    if len(goals) < least or len(dict(goals)) < len(_list(content, "goals")):
         raise BadRequest("'goals' must be a list of one goal or more, each for a different object")
     return goals
 
@@ -321,14 +330,15 @@ PARSERS: dict[str, Callable[[Content], Request]] = {
         object=_object(c),
     ),
     "place": lambda c: Place(_whole(c, "number"), _pose(c), _object(c)),
-    "goal": lambda c: SendGoal(_pose(c), _tolerance(c)),
+    "goal": lambda c: SendGoal(_pose(c), _tolerance(c), _object(c)),
+    "drafts": lambda c: Drafts(_goals(c, 0)),
     "arrange": lambda c: Arrange(
         in_order=_truth({"in_order": False, **c}, "in_order"),
         goals=_goals(c),
         tolerance=_tolerance(c),
     ),
     "preset": lambda c: Preset(objects=_objects(c), preset=_name(c, "preset")),
-    "queue_goal": lambda c: QueueGoal(_pose(c), _tolerance(c)),
+    "queue_goal": lambda c: QueueGoal(_pose(c), _tolerance(c), _object(c)),
     "unqueue": lambda c: Unqueue(_whole(c, "number")),
     "name_goal": lambda c: NameGoal(_name(c, "name"), _pose(c)),
     "forget_goal": lambda c: ForgetGoal(_name(c, "name")),

@@ -19,8 +19,10 @@ import socket
 import struct
 import threading
 import time
+from base64 import b64encode
 from collections import deque
 from collections.abc import Callable
+from hashlib import sha256
 from http.client import responses
 from pathlib import Path
 from typing import Any, BinaryIO, Protocol
@@ -46,6 +48,7 @@ from tapping_cell.nodes.page.requests import (
 )
 from tapping_cell.nodes.page.runs import Runs
 from tapping_cell.report.palette import css_variables
+from tapping_cell.report.rendering import TEMPLATES
 
 STATIC = Path(__file__).parent / "static"
 MAX_PAGES = 16
@@ -78,12 +81,15 @@ PAGE_POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; "
     "connect-src 'self' {stop}; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
+REPLAY_HASH = b64encode(sha256((TEMPLATES / "replay.js").read_bytes()).digest()).decode("ascii")
 REPORT_POLICY = (
-    "default-src 'none'; style-src 'unsafe-inline'; img-src data:; base-uri 'none'; "
-    "form-action 'none'; frame-ancestors 'none'; sandbox"
+    "default-src 'none'; style-src 'unsafe-inline'; img-src data:; "
+    f"script-src 'sha256-{REPLAY_HASH}'; base-uri 'none'; "
+    "form-action 'none'; frame-ancestors 'none'; sandbox allow-scripts"
 )
-"""Content security policy of a report. The report is shown unchanged, but cannot run scripts.
-Browsers treat the report and the operator's page as pages of different web sites."""
+"""Content security policy of a report. The report is shown unchanged, but can run no script except
+the player of this version. Browsers treat the report and the operator's page as pages of different
+web sites."""
 HEADERS = {
     "Cross-Origin-Opener-Policy": "same-origin",
     "Cross-Origin-Resource-Policy": "same-origin",

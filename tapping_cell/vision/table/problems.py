@@ -43,19 +43,19 @@ def table_refusal(
     return None
 
 
-def table_notice(table: TableTracker, doubled: list[int], missed: list[int]) -> str:
+def table_notice(displaced: list[int], doubled: list[int], missed: list[int]) -> str:
     """Warning about reference markers for a frame with a valid pose; empty if there is none.
 
-    ``doubled`` are ids that are seen more than once, ``missed`` are rows of the map whose markers
-    are not seen.
+    ``displaced`` are ids of markers that are not at their positions, ``doubled`` of those that are
+    seen more than once, and ``missed`` of those that are not seen.
     """
-    if table.displaced:
-        names = ", ".join(map(str, table.displaced))
+    if displaced:
+        names = ", ".join(map(str, displaced))
         return f"reference marker {names} is not at its position in the table file; it is ignored"
     if doubled:
         names = ", ".join(map(str, doubled))
         return f"reference marker {names} is seen more than once; cover the other copies"
-    names = ", ".join(map(str, sorted(int(table.ids[row]) for row in missed)))
+    names = ", ".join(map(str, sorted(missed)))
     return f"reference marker {names} is not seen; uncover it" if missed else ""
 
 

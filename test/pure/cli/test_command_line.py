@@ -15,7 +15,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tapping_cell import __version__
-from tapping_cell.cli import VERBS, main
+from tapping_cell.cli import VERBS, groups, main
+from tapping_cell.cli.argument_types import configuration_file
 from tapping_cell.cli.graph import parameter_text
 
 
@@ -99,3 +100,26 @@ def test_a_parameter_reaches_a_node_unchanged(value: object) -> None:
 @pytest.mark.parametrize("name", ["101", "no", "1e3", "", "null", "with a space", "a: b", '"'])
 def test_a_folder_may_be_named_like_a_number(name: str) -> None:
     assert yaml.safe_load(parameter_text(Path(name))) == str(Path(name))
+
+
+def test_help_lists_every_verb_in_a_group_within_80_columns(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert "other" not in groups()
+    assert sorted(name for names in groups().values() for name in names) == sorted(VERBS)
+    with pytest.raises(SystemExit):
+        main(["--help"])
+    text = capsys.readouterr().out
+    assert all(len(line) < 80 for line in text.splitlines())
+    assert all(f"  {verb} " in text for verb in VERBS)
+
+
+def test_a_configuration_file_of_the_package_is_found_from_every_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    found = configuration_file("config/positioning_cell/cell.yaml")
+    assert found.is_file() and configuration_file("positioning_cell/cell.yaml") == found
+    assert configuration_file("other.yaml") == Path("other.yaml")
+    (tmp_path / "cell.yaml").touch()
+    assert configuration_file("cell.yaml") == Path("cell.yaml")

@@ -22,6 +22,7 @@ from tapping_cell.nodes.page.requests import (
     BadRequest,
     Command,
     Confirm,
+    Drafts,
     Hello,
     Move,
     NameGoal,
@@ -110,6 +111,12 @@ def test_a_goal_is_in_millimetres_and_degrees() -> None:
     both = [{"object": name, "x": 10, "y": 0, "angle": 180} for name in ("red", "blue")]
     assert parse(json.dumps({"do": "arrange", "goals": both, "in_order": True})) == Arrange(
         (("red", Pose(0.01, 0.0, math.pi)), ("blue", Pose(0.01, 0.0, math.pi))), in_order=True
+    )
+    one = parse('{"do": "goal", "x": 1, "y": 0, "angle": 0, "object": "red"}')
+    assert isinstance(one, SendGoal) and one.object == "red"
+    assert parse('{"do": "drafts", "goals": []}') == Drafts(())
+    assert parse(json.dumps({"do": "drafts", "goals": both[:1]})) == Drafts(
+        (("red", Pose(0.01, 0.0, math.pi)),)
     )
     preset = {"do": "preset", "preset": "grid", "objects": ["red", "blue"]}
     assert parse(json.dumps(preset)) == Preset("grid", ("red", "blue"))

@@ -381,7 +381,9 @@ async def test_a_run_is_downloaded_and_its_report_read_with_the_key_of_an_open_p
             assert sorted(got.namelist()) == names
         status, headers, body = await get(f"runs/{key}/2026-run/report.html")
         assert status == 200 and body == b"<script>alert(1)</script>"
-        assert headers["Content-Security-Policy"].endswith("sandbox")
+        policy = headers["Content-Security-Policy"]
+        assert policy.endswith("sandbox allow-scripts") and "script-src 'sha256-" in policy
+        assert "allow-same-origin" not in policy
         make_run(site.backend.runs.folder, 'a "run", \u00fc')
         odd = urllib.parse.quote('a "run", \u00fc')
         status, headers, _ = await get(f"runs/{key}/{odd}/run.zip")

@@ -1,26 +1,18 @@
-"""The report's description of a tap, and the animation of a run."""
+"""The report's description of a tap."""
 
 from __future__ import annotations
 
 import math
-import re
-import xml.etree.ElementTree as ElementTree
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
-from report_parts import made_run, tap_row
+from report_parts import tap_row
 
-from tapping_cell.report.animation import END_S, TAP_S, animation
 from tapping_cell.report.run import TapRow
-from tapping_cell.report.svg import Plan
 from tapping_cell.report.tap_words import tap_sentence
 from tapping_cell.se2 import Pose
 
-OUTLINE = ((0.03, 0.0), (-0.02, 0.02), (-0.02, -0.02))
 SPREAD = ((4e-6, 0.0, 0.0), (0.0, 1e-6, 0.0), (0.0, 0.0, 4e-4))
 
 
@@ -78,37 +70,3 @@ def test_a_tap_without_an_observation_is_not_judged() -> None:
     unseen = Pose(math.nan, math.nan, math.nan)
     text = tap_sentence(tap(measured=unseen), Pose(0.1, 0.0, 0.0))
     assert "the object was not seen afterwards" in text and "nan" not in text
-
-
-angles = st.floats(-3.1, 3.1)
-places = st.builds(Pose, st.floats(-0.2, 0.2), st.floats(-0.15, 0.15), angles)
-
-
-@given(st.lists(places, min_size=2, max_size=6))
-def test_the_animation_shows_every_pose_and_the_shortest_rotation(poses: list[Pose]) -> None:
-    taps = tuple(
-        tap(index + 1, before=before, measured=after)
-        for index, (before, after) in enumerate(pairwise(poses))
-    )
-    run = made_run(taps, outline=OUTLINE)
-    drawn = animation(run, Plan((-300.0, -220.0), (300.0, 220.0)))
-    style, _, picture = drawn.partition("</style>")
-    ElementTree.fromstring(picture)
-    frames = [
-        tuple(map(float, found))
-        for found in re.findall(
-            r"([\d.]+)%\{transform:translate\(([-\d.]+)px,([-\d.]+)px\) rotate\(([-\d.]+)deg", style
-        )
-    ]
-    shares = [share for share, *_ in frames]
-    assert shares == sorted(shares) and shares[-1] == 100.0
-    for pose in poses:
-        assert any(math.hypot(x - 1000 * pose.x, y + 1000 * pose.y) < 0.02 for _, x, y, _ in frames)
-    turns = np.diff([angle for *_, angle in frames])
-    assert np.all(np.abs(turns) <= 180.001)
-    assert f"{TAP_S * len(taps) + END_S:.1f}s" in style
-    assert len(drawn) < 20_000
-
-
-def test_a_run_without_a_tap_has_no_animation() -> None:
-    assert animation(made_run(outline=OUTLINE), Plan((-1.0, -1.0), (1.0, 1.0))) == ""

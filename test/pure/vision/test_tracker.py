@@ -177,6 +177,20 @@ def test_a_reference_occluded_later_is_reported_until_it_is_seen_again(scene):
     assert film.rest(scene, 6).sentence == ""
 
 
+def test_an_occlusion_for_less_than_the_patience_is_not_reported(scene):
+    film = Film(PoseTracker(CAMERA, REFERENCES, MARKER, patience=0.5))
+    film.rest(scene, 12)
+    cover = hand(np.array([-0.33, 0.25, 0.0]), 0.04, 0.0)
+
+    def said(frames: int) -> list[str]:
+        return [film.show(scene.render(HOME, occluders=[cover])).sentence for _ in range(frames)]
+
+    for _ in range(2):  # each passage of the arm is a new occlusion
+        assert said(12) == [""] * 12
+        assert film.rest(scene, 6).sentence == ""
+    assert "reference marker 101 is not seen; uncover it" in said(30)
+
+
 def test_a_displaced_reference_is_reported():
     wrong = tuple(
         dataclasses.replace(m, x=m.x + 0.003) if m.id == 105 else m for m in REFERENCES.markers

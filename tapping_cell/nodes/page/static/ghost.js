@@ -83,6 +83,7 @@ class Ghost {
   grab(event, kind) {
     if (!this.shape || event.button > 0) return;
     event.preventDefault();
+    Ghost.taken(this);
     event.currentTarget.setPointerCapture(event.pointerId);
     event.currentTarget.focus({ preventScroll: true });
     const from = kind === "move" ? this.shape.centre : this.shape.handle;
@@ -106,6 +107,7 @@ class Ghost {
   }
 
   release() {
+    if (this.hold && this.touched) Ghost.changed();
     this.hold = null;
     this.group.classList.remove("held");
     if (this.shape) this.draw();
@@ -127,7 +129,9 @@ class Ghost {
       return;
     }
     event.preventDefault();
+    Ghost.taken(this);
     this.touched = true;
+    Ghost.changed();
     this.place(x, y, angle);
     this.shape = { ...this.shape, x, y, angle };  // the next key press starts from here
   }
@@ -139,7 +143,6 @@ class Ghost {
     this.set("handle", { r: 24 * unit });
     this.set("knob", { r: 10 * unit, "stroke-width": 2 * unit });
     this.set("centre", { r: 4 * unit });
-    this.set("label", { "font-size": 15 * unit });
   }
 
   draw() {
@@ -161,7 +164,8 @@ class Ghost {
     const [cx, cy] = moved(c), [hx, hy] = moved(h);
     for (const name of ["outline", "shade"]) this.set(name, { points });
     for (const name of ["arm", "arm-shade"]) this.set(name, { x1: cx, y1: cy, x2: hx, y2: hy });
-    this.set("label", { x: cx, y: cy + 1.4 * Number(this.parts.label.getAttribute("font-size")) });
+    this.box = boxOf(points.split(" ").map((p) => p.split(",").map(Number)));
+    this.knob = [hx, hy];
     this.set("centre", { cx, cy });
     for (const name of ["knob", "handle"]) this.set(name, { cx: hx, cy: hy });
   }
@@ -172,6 +176,8 @@ class Ghost {
 }
 
 Ghost.all = new Set();
+Ghost.taken = () => {};    // called with the ghost that the operator takes hold of
+Ghost.changed = () => {};  // called when the operator has placed a ghost
 Ghost.aspect = 0.8;  // height of the image divided by its width
 Ghost.size = (aspect = Ghost.aspect) => {
   Ghost.aspect = aspect;

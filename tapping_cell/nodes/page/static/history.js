@@ -61,8 +61,10 @@ function renderRuns(runs, key, hint, connected) {
   }
   const body = $("runs").tBodies[0];
   $("runs-scroll").hidden = !runs.length;
-  if (isShown(body, key, runs)) return;
-  body.replaceChildren(...runs.map((run) => {
+  const words = $("run-filter").value.trim().toLowerCase().split(/\s+/);
+  const found = runs.filter((run) => words.every((word) => `${run.name} ${run.outcome} ${run.error}`.toLowerCase().includes(word)));
+  if (isShown(body, key, found)) return;
+  body.replaceChildren(...found.map((run) => {
     const row = create("tr", { className: run.outcome === "refused" ? "refused" : "", title: run.name });
     const when = run.began === null ? run.name : new Date(1000 * run.began).toLocaleString([], {
       month: "2-digit", day: "2-digit", hour: "2-digit", minute: "2-digit", hour12: false });

@@ -98,7 +98,6 @@ function receive(message) {
     if (state) state.placeable = false;  // the last state may be outdated
     const where = message.namespace === "/" ? "" : `${message.namespace} `;
     setText($("cell"), where + message.cell);
-    setText($("object"), message.object);
     document.title = where + message.cell;
     settings.welcome(message);
     arrangement.welcome(message);
@@ -107,7 +106,7 @@ function receive(message) {
     state = message;
     render();
   } else if (message.type === "ghost") {
-    (message.object ? arrangement.marker(message.object) : ghost).answer(message);
+    arrangement.marker(message.object || cell.object).answer(message);
   } else if (message.type === "preset") {
     waiting.delete("arrange");
     arrangement.take(message.goals);
@@ -161,10 +160,18 @@ function ageText(seconds) {
   return `${Math.floor(seconds / 60)} min`;
 }
 
+// The object that is being tapped, else the cell's own.
+function shownObject() {
+  const name = state.plan.busy && state.plan.object || cell.object, own = state.object;
+  if (name === cell.object) return { ...own, name };
+  const row = arrangement.seen(name);
+  return row ? { ...row, visible: true, sentence: "", code: 0 } : { name, visible: false, sentence: "", code: 0 };
+}
+
 function renderPicture() {
   const age = pictureAge(), stale = age > STALE_S;
   document.body.classList.toggle("stale", stale);
-  const seen = state && state.object;
+  const seen = state && shownObject();
   let words = "";
   if (!connected) {
     words = picture ? `Connection lost. This image is ${ageText(age)} old.` : "";
@@ -178,11 +185,15 @@ function renderPicture() {
   $("stage-words").hidden = !words;
   if (!connected || !seen) return;
   const parts = [];
-  if (seen.visible) {
+  const objects = state.arrangement.objects, missing = objects.filter((each) => !each.pose).map((each) => each.name);
+  if (objects.length && !state.plan.busy) {
+    parts.push(`${objects.length - missing.length} of ${objects.length} objects seen`);
+    if (missing.length) parts.push(`not seen: ${missing.join(", ")}`);
+  } else if (seen.visible) {
     const [x, y, angle] = seen.pose;
-    parts.push(`${cell.object} ${seen.at_rest ? "at rest" : "moving"} at x ${signed(x)} mm, y ${signed(y)} mm, ${signed(angle)}\u00b0`);
+    parts.push(`${seen.name} ${seen.at_rest ? "at rest" : "moving"} at x ${signed(x)} mm, y ${signed(y)} mm, ${signed(angle)}\u00b0`);
   }
-  else if (!seen.code) parts.push(`the arm hides ${cell.object}`);
+  else if (!seen.code) parts.push(`the arm hides ${seen.name}`);
   if (seen.sentence && !words) parts.push(`${seen.sentence} (${seen.code})`);
   if (!stale) parts.push(`image ${age.toFixed(1)} s old`);
   const unknown = state ? state.arrangement.unknown : 0;
@@ -198,6 +209,7 @@ function render() {
   document.body.dataset.mode = mode;
   setText($("mode-word"), MODE_WORDS[mode]);
   setText($("mode-sentence"), connected && state ? state.sentence : "");
+  if (cell) setText($("object"), arrangement.several ? state && state.plan.busy && state.plan.object || `${arrangement.names.length} objects` : cell.object);
   renderBanner();
   renderPicture();
   for (const id of ["send", "goal-x", "goal-y", "goal-angle", "confirm-yes"]) $(id).disabled = !connected;
@@ -209,6 +221,7 @@ function render() {
   }
   planned.render(connected ? state.plan.planned : null, connected ? state.planned_drawing : null);
   settings.render(state, connected);
+  if (connected) drafts.take(state.drafts);
   arrangement.render(state, connected);
   renderAttention(mode);
   renderGoal();
@@ -244,9 +257,14 @@ function renderAttention(mode) {
 
 function renderSteps(steps) {
   const list = $("steps"), focused = document.activeElement && document.activeElement.dataset.command;
-  if (isShown(list, steps, connected)) return;
-  list.replaceChildren(...steps.map(({ text, state, command }) => {
-    const row = create("li", { className: state }, create("span", {}, (state === "done" ? "Done: " : "") + text));
+  const words = ({ text, state }) => (state === "done" ? "Done: " : "") + text;
+  // A countdown changes only the words: a button stays where it is while it is clicked.
+  if (isShown(list, steps.map(({ state, command }) => [state, command]), connected)) {
+    steps.forEach((step, number) => setText(list.children[number].firstChild, words(step)));
+    return;
+  }
+  list.replaceChildren(...steps.map((step) => {
+    const { state, command } = step, row = create("li", { className: state }, create("span", {}, words(step)));
     if (state !== "now") return row;
     row.setAttribute("aria-current", "step");
     if (!command) return row;
@@ -298,32 +316,53 @@ function renderBanner() {
 function renderGoal() {
   const plan = state.plan;
   $("cancel").disabled = !connected || !plan.busy;
-  $("home-ghost").disabled = !connected || !state.placeable || !state.object.visible;
-  setText($("send"), plan.busy ? "Replace the goal" : "Send goal");
+  $("home-ghost").disabled = !connected || !state.placeable || !ghost.touched || !poseOf(chosen);
+  setText($("send"), state.arrangement.active ? "Replace the arrangement by this goal" : plan.busy ? "Replace the goal" : "Send goal");
   const blocked = connected ? state.blocked : "";
   $("send").disabled = !connected || Boolean(blocked);
   setText($("goal-blocked"), blocked);
-  const known = plan.goal && plan.distance !== null;
-  $("to-go").hidden = !known;
-  if (known) {
-    setText($("to-go-distance"), plan.distance.toFixed(plan.distance < 100 ? 1 : 0) + " mm");
-    setText($("to-go-rotation"), signed(plan.rotation, 1, "\u00b0"));
+  $("to-go").hidden = !plan.goal;
+  if (plan.goal) {
+    // While the arm hides the object, the last known distance stays, so that the card keeps its size.
+    const key = JSON.stringify([plan.object, plan.goal]);
+    if (plan.distance !== null || toGo.key !== key) toGo = { key, distance: plan.distance, rotation: plan.rotation };
+    setText($("to-go-distance"), toGo.distance === null ? "\u2013" : toGo.distance.toFixed(toGo.distance < 100 ? 1 : 0) + " mm");
+    setText($("to-go-rotation"), toGo.distance === null ? "\u2013" : signed(toGo.rotation, 1, "\u00b0"));
     setText($("to-go-taps"), String(plan.taps));
     setText($("to-go-taps-unit"), plan.taps === 1 ? "tap" : "taps");
     $("to-go").classList.toggle("reached", plan.state === "reached");
   }
-  const own = !plan.object || plan.object === cell.object;
   let words = "No goal.";
   if (plan.goal) {
     const [x, y, angle] = plan.goal;
     const within = plan.tolerance[0] ? `, within ${plan.tolerance[0]} mm and ${plan.tolerance[1]}\u00b0` : "";
-    const whose = own ? "Goal" : `Goal of ${plan.object}:`;
+    const whose = arrangement.several && plan.object ? `Goal of ${plan.object}:` : "Goal";
     words = `${whose} x ${signed(x)} mm, y ${signed(y)} mm, ${signed(angle)}\u00b0${within}: ${plan.state}.`;
   }
   const why = plan.code ? `${plan.sentence} (${plan.code})` : "";
   if (why && why !== $("goal-answer").textContent) words += ` ${why}`;
   setText($("goal-words"), words);
-  follow(plan.busy && own ? plan.goal : state.object.visible ? state.object.pose : null);
+  follow(plan.busy && (plan.object || cell.object) === chosen ? plan.goal : poseOf(chosen));
+}
+
+// The pose at which an object is seen; null if it is not seen.
+function poseOf(name) {
+  if (name === cell.object && state.object.visible) return state.object.pose;
+  const seen = arrangement.seen(name);
+  return seen ? seen.pose : null;
+}
+
+// The goal card belongs to the chosen object.
+function choose(name) {
+  if (name === chosen) return;
+  chosen = name;
+  ghost = arrangement.marker(name);
+  followed = "";
+  $("goal-object").value = name;
+  setText($("goal-trouble"), "");
+  if (ghost.shape && ghost.touched) posed(name, ghost.shape, false);
+  if (state) follow(poseOf(name));
+  arrangement.refresh();
 }
 
 function follow(pose) {
@@ -344,7 +383,9 @@ function triple(values) {
 function renderTaps() {
   const taps = state.taps, body = $("taps").tBodies[0];
   $("taps").hidden = $("taps-note").hidden = !taps.length;
-  renderPlot(taps, state.plan.tolerance && state.plan.tolerance[0]);
+  const last = taps.length ? taps[taps.length - 1].object : state.plan.object, one = taps.every((tap) => tap.object === last);
+  setText($("taps-title"), arrangement.several && last && one ? `Taps of ${last}` : "Taps");
+  renderPlot(taps.filter((tap) => tap.object === last), state.plan.tolerance && state.plan.tolerance[0]);
   $("no-taps").hidden = Boolean(taps.length);
   if (isShown(body, taps, state.plan.tolerance)) return;
   const [mm, degrees] = state.plan.tolerance || [0, 0];
@@ -359,7 +400,7 @@ function renderTaps() {
     };
     const speed = tap.speed === null ? "" : `${tap.speed.toFixed(0)} mm/s, `;
     const outcome = tap.outcome === "fired" ? "" : `${tap.outcome}, `;
-    cell("Tap", [String(tap.number)]);
+    cell("Tap", [String(tap.number)], "", one ? "" : tap.object);
     cell("Commanded", triple(tap.commanded), "", `${outcome}${speed}${tap.method}`);
     cell("Predicted", triple(tap.predicted));
     cell("Measured", triple(tap.measured));
@@ -410,6 +451,10 @@ function readField(name) {
   return { value, trouble };
 }
 
+function objectOf() {
+  return arrangement.several ? { object: chosen } : {};
+}
+
 function readGoal() {
   const read = { x: readField("x"), y: readField("y"), angle: readField("angle") };
   const tolerance = settings.tolerance();
@@ -418,12 +463,21 @@ function readGoal() {
   return trouble ? null : { x: read.x.value, y: read.y.value, angle: read.angle.value, ...tolerance.value };
 }
 
+let chosen = "", toGo = {};         // the object of the goal card, and its last known distance
 const planned = new Planned();
 const settings = new Settings();
 const arrangement = new Arrangement();
+const drafts = new Drafts(() => arrangement.rows.values());
 const stop = new Stop(() => say({ do: "stop" }), (text, kind) => show("stop", text, kind), () => renderStop());
-const ghost = new Ghost($("ghost"), "", say, (pose, typed) => {
-  arrangement.moved(cell.object, pose);
+const ownGhost = new Ghost($("ghost"), "", say, (pose, typed) => posed(cell.object, pose, typed));
+let ghost = ownGhost;
+Ghost.taken = (each) => choose(each.object || cell.object);
+Ghost.changed = () => drafts.changed();
+$("goal-object").addEventListener("change", () => choose($("goal-object").value));
+
+function posed(name, pose, typed) {
+  arrangement.moved(name, pose);
+  if (name !== chosen) return;
   if (pose.trouble) {
     if (ghost.touched && !typed) setText($("goal-trouble"), pose.trouble);
     return;
@@ -436,7 +490,7 @@ const ghost = new Ghost($("ghost"), "", say, (pose, typed) => {
     }
   }
   setText($("goal-trouble"), pose.refusal ? `The planner will refuse this goal: ${pose.refusal}` : "");
-});
+}
 
 for (const [name, field] of Object.entries(FIELDS)) {
   field.addEventListener("input", () => {
@@ -444,6 +498,7 @@ for (const [name, field] of Object.entries(FIELDS)) {
     show("goal", "", "");
     const goal = readGoal();
     if (goal) ghost.place(goal.x, goal.y, goal.angle, true);
+    drafts.changed();
   });
   field.addEventListener("keydown", (event) => {
     const step = { ArrowUp: 1, ArrowDown: -1 }[event.key];
@@ -466,15 +521,18 @@ $("goal-form").addEventListener("submit", (event) => {
   ghost.touched = true;
   document.activeElement.blur();
   setText($("goal-trouble"), "");
-  request("goal", goal);
+  request("goal", { ...goal, ...objectOf() });
 });
 $("stop").addEventListener("click", () => stop.press());
 $("cancel").addEventListener("click", () => request("cancel"));
 $("home-ghost").addEventListener("click", () => {
   ghost.touched = false;
   followed = "";
-  follow(state.object.pose);
+  follow(poseOf(chosen));
+  drafts.changed();
+  arrangement.refresh();
 });
+$("run-filter").addEventListener("input", () => { if (state) renderRuns(runs, cell.key, state.runs_hint, connected); });
 for (const id of ["log-kind", "log-words"]) $(id).addEventListener("input", () => { if (state) renderLog(); });
 $("confirm-no").addEventListener("click", () => ask(""));
 $("confirm-yes").addEventListener("click", () => {

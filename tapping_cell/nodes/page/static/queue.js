@@ -19,7 +19,7 @@ class Settings {
     this.on("queue-hold", "click", () => request("hold_queue", {}, "queue"));
     this.on("enqueue", "click", () => {
       const goal = readGoal();
-      if (goal) request("queue_goal", goal, "queue");
+      if (goal) request("queue_goal", { ...goal, ...objectOf() }, "queue");
     });
     this.on("keep", "click", () => {
       const goal = readGoal(), name = $("new-name");
@@ -38,6 +38,7 @@ class Settings {
       const [x, y, angle] = JSON.parse(chosen.dataset.pose);
       ghost.touched = true;
       ghost.place(x, y, angle);
+      drafts.changed();
     });
     this.on("forget", "click", () => request("forget_goal", { name: $("named").value }, "queue"));
     for (const id of ["tolerance-position", "tolerance-angle"]) this.on(id, "input", () => readGoal());
@@ -103,11 +104,11 @@ class Settings {
       : queue.running ? "The last goal of the queue is active." : "No goal is waiting.";
     setText($("queue-words"), words);
     if (isShown($("queue"), queue.rows, connected)) return;
-    $("queue").replaceChildren(...queue.rows.map(([number, x, y, angle]) => {
+    $("queue").replaceChildren(...queue.rows.map(([number, x, y, angle, object]) => {
       const button = create("button", { type: "button", disabled: !connected }, "Remove");
       button.setAttribute("aria-label", `Remove the goal x ${x} mm, y ${y} mm, ${angle} degrees from the queue`);
       button.addEventListener("click", () => request("unqueue", { number }, "queue"));
-      return create("li", {}, create("span", {}, `${signed(x)}, ${signed(y)} mm, ${signed(angle)}\u00b0`), button);
+      return create("li", {}, create("span", {}, `${object ? `${object}: ` : ""}${signed(x)}, ${signed(y)} mm, ${signed(angle)}\u00b0`), button);
     }));
   }
 
