@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from tapping_cell.logic import arm, planner, tapper
+from tapping_cell.logic import arm, planner_states, tapper
 from tapping_cell.logic.transitions import diagram
 
 TARGET = Path(__file__).resolve().parents[1] / "docs" / "state_machines.md"
@@ -47,7 +47,7 @@ The planner does not latch a stop. An emergency stop ends the current goal. The 
 further goals while the arm or the tapper reports a stop or a fault.
 
 ```mermaid
-{diagram(planner.TABLE, planner.State.IDLE)}
+{diagram(planner_states.TABLE, planner_states.State.IDLE)}
 ```
 """
 
