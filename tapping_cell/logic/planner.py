@@ -10,6 +10,7 @@ import itertools
 from collections.abc import Iterable, Sequence
 
 from tapping_cell.logic import goal_requests, tap_counts, tap_cycle, tap_decision, tap_steps
+from tapping_cell.logic.cell_monitor import CodedError
 from tapping_cell.logic.clock import NANOSECONDS, Now, to_nanoseconds
 from tapping_cell.logic.confirmation import Confirmations
 from tapping_cell.logic.effects import (
@@ -219,7 +220,8 @@ class PlannerLogic:
         self._advance(now)
         if self._active:
             self._effects.extend(self._sender.repeat_withdrawal(now))
-            is_due = self._reports.quiet_for(now) > REPORT_PERIOD_S
+            is_new = self._shown_error()[0] != self.last.error_code
+            is_due = is_new or self._reports.quiet_for(now) > REPORT_PERIOD_S
             if is_due or isinstance(self._record, Placing | Firing):
                 if self._task is not None:
                     self._effects.append(TouchGoal())
@@ -378,13 +380,7 @@ class PlannerLogic:
             self._advance(now)  # first handle received messages and expired deadlines
         at = self._record
         if not isinstance(at, Confirming) or at.proposed.tap_id != asked.tap_id:
-            waiting = "no tap is waiting"
-            if isinstance(at, Confirming):
-                waiting = f"answer for tap {at.proposed.tap_id} instead"
-            return ConfirmTap.Response(
-                error_code=ErrorCode.TAP_NOT_AWAITED,
-                error_msg=f"tap {asked.tap_id} is not waiting for confirmation; {waiting}",
-            )
+            return tap_decision.not_awaited(asked.tap_id, at)
         assert self._cell is not None
         response, steps = tap_decision.answered(at, asked.confirm, self._cell, now)
         self._carry_out(steps, now)
@@ -463,8 +459,15 @@ class PlannerLogic:
         self._effects.extend(self._make_report(subject, now, code, sentence, draw))
 
     def _report_again(self, now: Now, draw: bool = True) -> None:
-        """Publish the state with the last error code and message."""
-        self._report(now, self.last.error_code, self.last.error_msg, draw)
+        """Publish the state again."""
+        self._report(now, *self._shown_error(), draw)
+
+    def _shown_error(self) -> CodedError:
+        """Return what the cell lacks while a goal waits for it, otherwise the last error."""
+        at = self._record
+        if isinstance(at, WaitingForCell) and at.missing is not None:
+            return at.missing
+        return self.last.error_code, self.last.error_msg
 
     def _make_report(
         self, subject: Subject, now: Now, code: int, sentence: str, draw: bool = True

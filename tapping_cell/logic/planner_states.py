@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import ClassVar
 
+from tapping_cell.logic.cell_monitor import CodedError
 from tapping_cell.logic.effects import Effect
 from tapping_cell.logic.goal_watch import FINAL_STATES
 from tapping_cell.logic.task import Shot, Task
@@ -136,6 +137,8 @@ class WaitingForCell(BetweenTaps):
     """Arm, tapper or camera are not ready."""
 
     state = S.WAITING_FOR_CELL
+    missing: CodedError | None = None
+    """What the cell lacks, as last reported."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -82,6 +82,8 @@ def wait_for_cell(at: WaitingForCell, cell: Cell, now: Now) -> Steps:
     if at.is_late(now.steady):
         code, sentence = missing
         yield failed(code, f"the cell was not ready: {sentence}")
+    elif missing != at.missing:
+        yield Go(None, replace(at, missing=missing))
 
 
 def look(at: Looking, cell: Cell, now: Now) -> Steps:

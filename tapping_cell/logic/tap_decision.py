@@ -18,6 +18,7 @@ from tapping_cell.logic.planner_states import (
     Looking,
     Placing,
     Planning,
+    Record,
     State,
     Steps,
     failed,
@@ -111,6 +112,17 @@ def _plan(look: Looking, strike: Strike, before: Pose, cell: Cell, now: Now) -> 
             proposed=shot,
             answer_by=now.ros + round(patience * NANOSECONDS),
         ),
+    )
+
+
+def not_awaited(tap_id: int, at: Record) -> ConfirmTap.Response:
+    """Return the response to an answer for a tap that is not proposed now."""
+    waiting = "no tap is waiting"
+    if isinstance(at, Confirming):
+        waiting = f"answer for tap {at.proposed.tap_id} instead"
+    return ConfirmTap.Response(
+        error_code=ErrorCode.TAP_NOT_AWAITED,
+        error_msg=f"tap {tap_id} is not waiting for confirmation; {waiting}",
     )
 
 
