@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from tapping_cell.logic import arm, planner_states, tapper
+from tapping_cell.logic import arm, planner_states, tapper_states
 from tapping_cell.logic.transitions import diagram
 
 TARGET = Path(__file__).resolve().parents[1] / "docs" / "state_machines.md"
@@ -38,7 +38,7 @@ In `Waiting` the tapper has a tap and waits for the arm; `tapper_state` reports 
 In `Charged` the tapper requests the arm's promise to stand still.
 
 ```mermaid
-{diagram(tapper.TABLE, tapper.State.DISCONNECTED)}
+{diagram(tapper_states.TABLE, tapper_states.State.DISCONNECTED)}
 ```
 
 ## Planner

@@ -188,7 +188,7 @@ MODULES = {
     "tap_planner": "planner tap_cycle tap_decision tap_steps tap_counts tap_sender confirmation"
     " resumption goal_requests planner_reports",
     "scara_arm": "arm device",
-    "tapper_trigger": "tapper device",
+    "tapper_trigger": "tapper tapper_cycle tapper_board tapper_commands device",
 }
 """Modules of ``tapping_cell.logic`` that are the state machine of each node."""
 ISSUES = re.compile(r"_effects\.(append|extend)\(|\byield\b")

@@ -23,6 +23,7 @@ from tapping_cell.logic.effects import Answer, JobEnded, RunJob, StopWire
 from tapping_cell.logic.enabling import HEARTBEAT_S, EnablingDevice
 from tapping_cell.logic.host import Activated, Configured, Unreachable
 from tapping_cell.logic.tapper_jobs import Status
+from tapping_cell.logic.tapper_states import State
 from tapping_cell.messages import Bool, ErrorCode, TapCommand, TapperState, Trigger
 
 HELD, RELEASED = Bool(data=True), Bool(data=False)
@@ -215,7 +216,7 @@ def test_a_charged_tapper_discharges_when_the_key_is_released() -> None:
     tapper = pair.tapper
     made = tapper.on_message(enabling.TOPIC, RELEASED, at(START + 0.05))
     (discharge,) = jobs(made)
-    assert tapper.state is tappers.State.DISCHARGING
+    assert tapper.state is State.DISCHARGING
     status = Status(board(BoardState.SAFE), 0)
     reported = messages(tapper.on_job(JobEnded(discharge, status), at(START + 0.1)), "tapper_state")
     assert reported[-1].outcome == TapperState.NOT_FIRED
@@ -245,7 +246,7 @@ def test_the_board_reports_its_switch() -> None:
     assert messages(made, "tapper_state")[-1].enabling_switch
     tap = Pair().command(TapCommand.TAP, now)
     tapper.on_message("tap_command", tap, at(START + 0.3))
-    assert tapper.state is tappers.State.WAITING
+    assert tapper.state is State.WAITING
 
 
 def test_without_set_up_mode_no_device_is_required() -> None:
@@ -255,7 +256,7 @@ def test_without_set_up_mode_no_device_is_required() -> None:
         machine.on_message(enabling.TOPIC, RELEASED, at(START + 0.1))
         machine.on_tick(at(START + 0.1))
     assert pair.arm.state is arms.State.IN_POSITION
-    assert pair.tapper.state is tappers.State.CHARGED
+    assert pair.tapper.state is State.CHARGED
 
 
 @pytest.mark.parametrize("event", ["stop", "silence"])
