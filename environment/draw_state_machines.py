@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from tapping_cell.logic import arm, planner_states, tapper_states
+from tapping_cell.logic import arm_states, planner_states, tapper_states
 from tapping_cell.logic.transitions import diagram
 
 TARGET = Path(__file__).resolve().parents[1] / "docs" / "state_machines.md"
@@ -29,7 +29,7 @@ In `Leaving` the arm waits until its promise to stand still has ended ([safety.m
 `arm_state` reports this state as WITHDRAWING. `Inactive` is reported as FAULT with code 903.
 
 ```mermaid
-{diagram(arm.TABLE, arm.State.DISCONNECTED)}
+{diagram(arm_states.TABLE, arm_states.State.DISCONNECTED)}
 ```
 
 ## Tapper

@@ -15,7 +15,7 @@ from tapping_cell.hardware.faults import FaultReason, HardwareFault
 from tapping_cell.hardware.scara import Joints
 from tapping_cell.hardware.tapper_protocol import State as BoardState
 from tapping_cell.logic import arm as arms
-from tapping_cell.logic import enabling
+from tapping_cell.logic import arm_states, enabling
 from tapping_cell.logic import tapper as tappers
 from tapping_cell.logic.arm_jobs import Reading
 from tapping_cell.logic.clock import to_stamp
@@ -99,7 +99,7 @@ def test_no_motion_starts_while_no_device_is_held(what: str) -> None:
         point = JointTrajectoryPoint(positions=list(PARKED), time_from_start=Duration(sec=1))
         message = JointTrajectory(joint_names=list(Joints._fields), points=[point])
         made = arm.on_message("joint_trajectory", message, now)
-    assert not jobs(made) and arm.state is arms.State.IDLE
+    assert not jobs(made) and arm.state is arm_states.State.IDLE
     if what != "home":
         assert arm.error[0] == ErrorCode.ENABLING_RELEASED
 
@@ -134,20 +134,20 @@ def test_a_trajectory_is_followed_slowly_in_set_up_mode() -> None:
 def test_a_moving_arm_stops_when_the_key_is_released(end: str) -> None:
     pair = working()
     arm, now = pair.arm, at(START + 1.1 * HEARTBEAT_S)
-    assert arm.state is arms.State.IN_POSITION
+    assert arm.state is arm_states.State.IN_POSITION
     if end == "let go":
         made = arm.on_message(enabling.TOPIC, RELEASED, at(START + 0.01))
     elif end == "silence":
         made = arm.on_tick(now)
     else:
         made = arm.on_message("tapper_state", TapperState(), now)
-    assert isinstance(made[0], StopWire) and arm.state is arms.State.STOPPED
+    assert isinstance(made[0], StopWire) and arm.state is arm_states.State.STOPPED
     assert arm.error[0] == ErrorCode.ENABLING_RELEASED
     (stop,) = messages(made, "stop_state") or messages(made, "~/stop_state")
     assert stop.stopped and enabling.SOURCE in stop.sources
     # Holding the key again does not restart the arm; a person must clear the stop first.
     made = arm.on_message(enabling.TOPIC, HELD, at(START + 1.0))
-    assert not jobs(made) and arm.state is arms.State.STOPPED
+    assert not jobs(made) and arm.state is arm_states.State.STOPPED
 
 
 def test_releasing_the_key_does_not_stop_an_idle_arm() -> None:
@@ -155,7 +155,7 @@ def test_releasing_the_key_does_not_stop_an_idle_arm() -> None:
     arm.on_message(enabling.TOPIC, HELD, at(START))
     arm.on_message(enabling.TOPIC, RELEASED, at(START + 0.1))
     arm.on_tick(at(START + 5.0))
-    assert arm.state is arms.State.IDLE
+    assert arm.state is arm_states.State.IDLE
 
 
 def report(published: float, held: bool = True) -> TapperState:
@@ -173,7 +173,7 @@ def begins_a_tap(arm: arms.ArmLogic, time: float) -> bool:
 def test_the_foot_switch_enables_as_the_key_does() -> None:
     arm = idle_arm()
     arm.on_message("tapper_state", report(START), at(START))
-    assert begins_a_tap(arm, START) and arm.state is arms.State.PLACING
+    assert begins_a_tap(arm, START) and arm.state is arm_states.State.PLACING
 
 
 def test_a_report_of_the_switch_without_a_stamp_does_not_enable() -> None:
@@ -255,7 +255,7 @@ def test_without_set_up_mode_no_device_is_required() -> None:
     for machine in (pair.arm, pair.tapper):
         machine.on_message(enabling.TOPIC, RELEASED, at(START + 0.1))
         machine.on_tick(at(START + 0.1))
-    assert pair.arm.state is arms.State.IN_POSITION
+    assert pair.arm.state is arm_states.State.IN_POSITION
     assert pair.tapper.state is State.CHARGED
 
 
