@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from tapping_cell.logic import arm, planner, tapper
+from tapping_cell.logic import arm_states, planner_states, tapper_states
 from tapping_cell.logic.transitions import diagram
 
 TARGET = Path(__file__).resolve().parents[1] / "docs" / "state_machines.md"
@@ -29,7 +29,7 @@ In `Leaving` the arm waits until its promise to stand still has ended ([safety.m
 `arm_state` reports this state as WITHDRAWING. `Inactive` is reported as FAULT with code 903.
 
 ```mermaid
-{diagram(arm.TABLE, arm.State.DISCONNECTED)}
+{diagram(arm_states.TABLE, arm_states.State.DISCONNECTED)}
 ```
 
 ## Tapper
@@ -38,7 +38,7 @@ In `Waiting` the tapper has a tap and waits for the arm; `tapper_state` reports 
 In `Charged` the tapper requests the arm's promise to stand still.
 
 ```mermaid
-{diagram(tapper.TABLE, tapper.State.DISCONNECTED)}
+{diagram(tapper_states.TABLE, tapper_states.State.DISCONNECTED)}
 ```
 
 ## Planner
@@ -47,7 +47,7 @@ The planner does not latch a stop. An emergency stop ends the current goal. The 
 further goals while the arm or the tapper reports a stop or a fault.
 
 ```mermaid
-{diagram(planner.TABLE, planner.State.IDLE)}
+{diagram(planner_states.TABLE, planner_states.State.IDLE)}
 ```
 """
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import importlib
 import inspect
 import math
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
@@ -17,12 +19,9 @@ from lab.virtual_cell.further_panels import PanelPress
 from lab.virtual_cell.host import PlannedFreeze
 from lab.virtual_cell.network import STRANGER
 from lab.virtual_cell.people import KEY, SWITCH
-from tapping_cell.logic.arm import ArmLogic
 from tapping_cell.logic.clock import to_stamp
 from tapping_cell.logic.host import Activated, Deactivated
-from tapping_cell.logic.planner import PlannerLogic
 from tapping_cell.logic.poses import to_message
-from tapping_cell.logic.tapper import TapperLogic
 from tapping_cell.messages import (
     ArmState,
     ErrorCode,
@@ -185,21 +184,37 @@ def _pick(rng: np.random.Generator, names: tuple[str, ...]) -> str:
 
 
 NODES = ("tap_planner", "scara_arm", "tapper_trigger")
-LOGIC: dict[str, type] = dict(zip(NODES, (PlannerLogic, ArmLogic, TapperLogic), strict=True))
-METHODS = {
-    node: tuple(sorted(name for name, _ in inspect.getmembers(logic, inspect.isfunction)))
-    for node, logic in LOGIC.items()
+MODULES = {
+    "tap_planner": "planner tap_cycle tap_decision tap_steps tap_counts tap_sender confirmation"
+    " resumption goal_requests planner_reports",
+    "scara_arm": "arm arm_readings standing_still device",
+    "tapper_trigger": "tapper tapper_cycle tapper_board tapper_commands device",
 }
-"""Methods of each node's state machine."""
+"""Modules of ``tapping_cell.logic`` that are the state machine of each node."""
+ISSUES = re.compile(r"_effects\.(append|extend)\(|\byield\b")
+
+
+def _functions_of(node: str) -> dict[str, str]:
+    """Return the source of each function of a node's state machine, by name."""
+    found = {}
+    for room in MODULES[node].split():
+        module = importlib.import_module(f"tapping_cell.logic.{room}")
+        scopes = [module, *(kind for _, kind in inspect.getmembers(module, inspect.isclass))]
+        for scope in scopes:
+            for name, function in inspect.getmembers(scope, inspect.isfunction):
+                # Functions that ``dataclass`` makes have no file.
+                if inspect.getsourcefile(function) == module.__file__:
+                    found[name] = inspect.getsource(function)
+    return dict(sorted(found.items()))
+
+
+METHODS = {node: tuple(_functions_of(node)) for node in NODES}
+"""Functions of each node's state machine."""
 DECIDING = {
-    node: tuple(
-        name
-        for name in METHODS[node]
-        if "_effects.append(" in inspect.getsource(getattr(logic, name))
-    )
-    for node, logic in LOGIC.items()
+    node: tuple(name for name, source in _functions_of(node).items() if ISSUES.search(source))
+    for node in NODES
 }
-"""Methods that issue an effect. If such a handler raises, its effects are lost, but the state has
+"""Functions that issue an effect. If such a handler raises, its effects are lost, but the state has
 already changed."""
 
 

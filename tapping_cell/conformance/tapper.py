@@ -6,8 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from tapping_cell.conformance.stage import OBJECT, SHOWN_S, Duty, Stage, Steps, check_rate
-from tapping_cell.logic.arm import CHARGED
 from tapping_cell.logic.poses import to_message
+from tapping_cell.logic.standing_still import CHARGED
 from tapping_cell.messages import (
     ArmState,
     ErrorCode,

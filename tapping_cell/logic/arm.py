@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from enum import Enum
 from functools import partial
 from typing import Any
 
@@ -21,8 +20,11 @@ from tapping_cell.hardware.arm_settings import HomingStrategy
 from tapping_cell.hardware.faults import LINE_LOST, FaultReason, HardwareFault
 from tapping_cell.hardware.motion import MotionSettings, Waypoint, check_limits
 from tapping_cell.hardware.scara import Joints, ScaraGeometry, TipPose
-from tapping_cell.logic import arm_jobs, enabling, permit, tap_commands
+from tapping_cell.logic import arm_jobs, enabling, tap_commands
 from tapping_cell.logic.arm_jobs import MotionEnd, Reading
+from tapping_cell.logic.arm_readings import ArmReadings
+from tapping_cell.logic.arm_states import AT_WORK, HEALTHY, TABLE, WIRE, Event, S, State
+from tapping_cell.logic.arm_trajectory import trajectory_targets
 from tapping_cell.logic.clock import Now, to_nanoseconds, to_stamp
 from tapping_cell.logic.device import LONGEST_TIMEOUT_S, MUTE, DeviceLogic, patience_after
 from tapping_cell.logic.effects import (
@@ -38,22 +40,19 @@ from tapping_cell.logic.effects import (
 from tapping_cell.logic.enabling import EnablingDevice
 from tapping_cell.logic.error_codes import of_arm
 from tapping_cell.logic.host import Configured
-from tapping_cell.logic.poses import from_message, to_message
+from tapping_cell.logic.poses import from_message
+from tapping_cell.logic.standing_still import StandingStill
 from tapping_cell.logic.tap_commands import CodedError
-from tapping_cell.logic.transitions import StateMachine, table
+from tapping_cell.logic.transitions import StateMachine
 from tapping_cell.logic.withdrawal import Scene, hides_object, uncovering, withdrawal
 from tapping_cell.messages import (
     ArmState,
     ErrorCode,
     HoldStill,
-    JointState,
     JointTrajectory,
     TapCommand,
     TapperState,
-    Time,
 )
-from tapping_cell.messages import Pose as PoseMessage
-from tapping_cell.se2 import Pose
 
 READ_PERIOD_S = 0.05
 """Period of the read-back while the arm stands: a strike pose is confirmed 20 times a second."""
@@ -62,116 +61,10 @@ FRESH_READING_S = 0.25
 SHORT_REST_S = 0.05
 """Time, s, before the end of the promise to stand still at which the arm begins to prepare its next
 move."""
-DISCHARGED_S = 0.7
-"""Maximum time from the last report of a charged striker until the board has discharged it
-automatically: the board waits for 0.5 s without a request, then its drive returns."""
-LONGEST_WAIT_S = 3.0
-"""Maximum time for which the arm waits until the striker is discharged, s: once after the end of a
-tap, and again in each job that moves the arm."""
-CHARGED = (TapperState.CHARGING, TapperState.CHARGED, TapperState.FIRING)
 SET_UP_SPEED = 0.25
 """Fraction of the ordinary speed in set-up mode."""
 
 
-class State(Enum):
-    """States of the arm."""
-
-    DISCONNECTED = "Disconnected"
-    NOT_HOMED = "NotHomed"
-    HOMING = "Homing"
-    IDLE = "Idle"
-    PLACING = "Placing"
-    IN_POSITION = "InPosition"
-    LEAVING = "Leaving"
-    """The tap is over. The arm waits until its job has ended and the arm need not stand still any
-    longer."""
-    WITHDRAWING = "Withdrawing"
-    FOLLOWING = "Following"
-    INACTIVE = "Inactive"
-    FAULT = "Fault"
-    STOPPED = "Stopped"
-    CLEARING = "Clearing"
-
-
-class Event(Enum):
-    """Events of the arm."""
-
-    CONNECTED = "connected"
-    ACTIVATED = "activated"
-    DEACTIVATED = "deactivated"
-    HOME = "home"
-    HOMED = "homed"
-    TAP = "tap"
-    PLACED = "placed"
-    GIVEN_UP = "withdraw or expiry"
-    FREE = "promise over"
-    WITHDRAWN = "withdrawn"
-    PARK = "withdraw again"
-    CLEAR_VIEW = "clear view"
-    TRAJECTORY = "trajectory"
-    FOLLOWED = "followed"
-    FAILED = "failed"
-    STOP = "stop"
-    CLEAR = "clear_fault"
-    CLEARED = "cleared"
-    CLOSED = "closed"
-
-
-S = State
-UNSTOPPED = tuple(state for state in State if state is not S.STOPPED)
-TABLE = table(
-    [
-        ((S.DISCONNECTED,), Event.CONNECTED, (S.NOT_HOMED, S.IDLE, S.INACTIVE)),
-        ((S.NOT_HOMED, S.IDLE, S.INACTIVE), Event.ACTIVATED, (S.NOT_HOMED, S.IDLE)),
-        # A fault lasts until it is cleared, as a stop does.
-        (
-            tuple(state for state in UNSTOPPED if state is not S.FAULT),
-            Event.DEACTIVATED,
-            (S.INACTIVE,),
-        ),
-        ((S.NOT_HOMED, S.IDLE), Event.HOME, (S.HOMING,)),
-        ((S.HOMING,), Event.HOMED, (S.IDLE,)),
-        ((S.IDLE,), Event.TAP, (S.PLACING,)),
-        ((S.PLACING,), Event.PLACED, (S.IN_POSITION,)),
-        ((S.PLACING, S.IN_POSITION), Event.GIVEN_UP, (S.LEAVING,)),
-        ((S.LEAVING,), Event.FREE, (S.WITHDRAWING,)),
-        ((S.WITHDRAWING,), Event.WITHDRAWN, (S.IDLE,)),
-        ((S.IDLE, S.WITHDRAWING), Event.PARK, (S.WITHDRAWING,)),
-        ((S.IDLE,), Event.CLEAR_VIEW, (S.WITHDRAWING,)),
-        ((S.IDLE,), Event.TRAJECTORY, (S.FOLLOWING,)),
-        ((S.FOLLOWING,), Event.FOLLOWED, (S.IDLE,)),
-        (UNSTOPPED, Event.FAILED, (S.FAULT, S.NOT_HOMED, S.DISCONNECTED)),
-        (tuple(State), Event.STOP, (S.STOPPED,)),
-        (
-            (S.FAULT, S.STOPPED, S.DISCONNECTED, S.NOT_HOMED, S.INACTIVE),
-            Event.CLEAR,
-            (S.CLEARING,),
-        ),
-        ((S.CLEARING,), Event.CLEARED, (S.NOT_HOMED, S.IDLE, S.INACTIVE)),
-        (UNSTOPPED, Event.CLOSED, (S.DISCONNECTED,)),
-    ]
-)
-WIRE = {
-    S.DISCONNECTED: ArmState.DISCONNECTED,
-    S.NOT_HOMED: ArmState.NOT_HOMED,
-    S.HOMING: ArmState.HOMING,
-    S.IDLE: ArmState.IDLE,
-    S.PLACING: ArmState.MOVING,
-    S.IN_POSITION: ArmState.IN_POSITION,
-    S.LEAVING: ArmState.WITHDRAWING,
-    S.WITHDRAWING: ArmState.WITHDRAWING,
-    S.FOLLOWING: ArmState.MOVING,
-    S.INACTIVE: ArmState.FAULT,
-    S.FAULT: ArmState.FAULT,
-    S.STOPPED: ArmState.STOPPED,
-    S.CLEARING: ArmState.FAULT,
-}
-"""Value of ``arm_state`` for each state."""
-HEALTHY = frozenset(
-    {S.HOMING, S.IDLE, S.PLACING, S.IN_POSITION, S.LEAVING, S.WITHDRAWING, S.FOLLOWING}
-)
-AT_WORK = HEALTHY - {S.IDLE}
-"""States in which the arm moves, or stands at the strike pose and may move again."""
 UNHOMED = (FaultReason.NOT_HOMED, FaultReason.HOMING_FAILED)
 
 
@@ -203,10 +96,8 @@ class ArmLogic(DeviceLogic[State, Event]):
         self._geometry: ScaraGeometry
         self._options = options
         self._error = (ErrorCode.ARM_NOT_CONNECTED, "the arm is not connected yet")
-        self._reading_kept: Reading | None = None
-        self._tip: tuple[Reading | None, PoseMessage] = (None, PoseMessage())
-        self._read_stamp = Time()
-        self._joints_published = Time()
+        self._readings = ArmReadings()
+        self._still = StandingStill()
         self._placed: Joints | None = None
         self._deviating_readings = 0
         self._clear_of_camera = False
@@ -219,10 +110,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         self._camera: tuple[float, float, float] | None = None
         self._scene: Scene | None = None
         self._to_park = False
-        self._promise_end = -math.inf
-        self._longest_hold = 0.0
-        self._outcome_received = 0
-        self._charged_until = self._leaving_since = -math.inf
+        self._leaving_since = -math.inf
         self._enabling = EnablingDevice()
         self._locked = False
         """Whether the last attempt to connect found the controller in a state, such as sleep, in
@@ -300,7 +188,7 @@ class ArmLogic(DeviceLogic[State, Event]):
                 tip=place,
                 motion=self._motion(),
                 expiry=self._expiry,
-                not_before=self._free_at(now),
+                not_before=self._still.free_at(now),
                 hides=partial(hides_object, self._cell, self._scene),
             ),
         )
@@ -353,8 +241,8 @@ class ArmLogic(DeviceLogic[State, Event]):
     def _run_when_free(self, name: str, motion: Callable[..., MotionEnd], now: Now) -> None:
         """Start a job that moves the arm as soon as the arm need not stand still any longer and the
         striker is no longer charged."""
-        not_before = self._free_at(now)
-        self._run(name, partial(motion, not_before=not_before, free_at=self._free_at))
+        not_before = self._still.free_at(now)
+        self._run(name, partial(motion, not_before=not_before, free_at=self._still.free_at))
 
     def _refusal(self, command: TapCommand, now: Now) -> CodedError | None:
         """Return why a tap command is refused, or None if it is accepted."""
@@ -444,35 +332,22 @@ class ArmLogic(DeviceLogic[State, Event]):
         if error is not None:
             code, sentence = error
             return HoldStill.Response(error_code=code, error_msg=sentence)
-        # The requested time begins now, when the request is handled, not when it was sent.
-        self._promise_end = max(self._promise_end, now.steady + request.duration)
-        return HoldStill.Response(granted=True, duration=request.duration)
+        return self._still.promise(request, now)
 
     def _unsteady(self, request: HoldStill.Request, now: Now) -> CodedError | None:
         """Return why the arm refuses to promise to stand still, or None if the arm does not
         refuse."""
-        if not 0 < request.duration <= self._longest_hold:
-            return (
-                ErrorCode.COMMAND_INVALID,
-                f"the duration of hold_still is {request.duration:g} s; it must be above 0 and at "
-                f"most {self._longest_hold:g} s",
-            )
-        if self._conflict is not None:
-            return self._conflict
+        if (error := self._still.invalid(request) or self._conflict) is not None:
+            return error
         if not self._active or self.state is not S.IN_POSITION or request.tap_id != self._tap_id:
             return (
                 ErrorCode.TAPPER_ARM_NOT_IN_POSITION,
                 f"the arm is not in position for tap {request.tap_id}: its state is"
                 f" {self.state.value} and the tap that it serves is {self._tap_id} (0: none)",
             )
-        if self._outcome_received == request.tap_id:
-            return (
-                ErrorCode.COMMAND_REPEATED,
-                f"hold_still is refused, because the outcome of tap {request.tap_id} was already "
-                "reported",
-            )
-        reading = self._reading_kept
-        age = math.inf if reading is None else now.steady - reading.stamp
+        if (error := self._still.repeated(request)) is not None:
+            return error
+        age = self._readings.age(now)
         if age > FRESH_READING_S or self._deviating_readings or now.ros > self._expiry:
             return (
                 ErrorCode.TAPPER_ARM_NOT_IN_POSITION,
@@ -483,15 +358,9 @@ class ArmLogic(DeviceLogic[State, Event]):
         return None
 
     def _on_tapper_state(self, message: TapperState, now: Now) -> None:
-        if message.tap_id in (0, self._outcome_received) or message.tap_id != self._last_tap_id:
-            return
-        if message.state in CHARGED:
-            self._charged_until = now.steady + DISCHARGED_S
-        elif message.outcome in (TapperState.FIRED, TapperState.NOT_FIRED):
-            self._outcome_received = message.tap_id
-            if message.state == TapperState.SAFE and self._conflict is None:
-                self._charged_until = -math.inf
-                self._leave_when_free(now)
+        is_trusted = self._conflict is None
+        if self._still.on_tapper_state(message, self._last_tap_id, is_trusted, now):
+            self._leave_when_free(now)
 
     def _give_up(self, now: Now) -> None:
         """End the tap and leave the strike pose as soon as the arm no longer has to stand still."""
@@ -500,21 +369,15 @@ class ArmLogic(DeviceLogic[State, Event]):
         self._abandon()
         self._leave_when_free(now)
 
-    def _free_at(self, now: Now) -> float:
-        """Return the earliest time, in s of the steady clock, at which a motion may begin that has
-        waited since ``now``. From this time on, the arm does not have to stand still and the
-        striker is no longer charged. The wait for the striker is limited to ``LONGEST_WAIT_S``."""
-        return max(self._promise_end, min(self._charged_until, now.steady + LONGEST_WAIT_S))
-
     def _leave_when_free(self, now: Now) -> None:
         if self.state is not S.LEAVING or self._job is not None:
             return
         # While the striker is charged, the arm waits, but not longer than LONGEST_WAIT_S.
-        if now.steady < min(self._charged_until, self._leaving_since + LONGEST_WAIT_S):
+        if self._still.waits_for_striker(self._leaving_since, now):
             return
         # The job may start shortly before the arm is free to move: it reads the joints, then waits
         # until the promise to stand still has ended.
-        if now.steady >= self._promise_end - SHORT_REST_S:
+        if now.steady >= self._still.until - SHORT_REST_S:
             self._machine.move(Event.FREE, S.WITHDRAWING)
             if self._to_park:
                 self._scene = None
@@ -523,14 +386,14 @@ class ArmLogic(DeviceLogic[State, Event]):
     # Jobs
 
     def _on_job_report(self, name: str, content: Any, now: Now) -> None:
-        self._take_in(content, now)
+        self._readings.take_in(content, now)
 
     def _job_done(self, name: str, result: Any, now: Now) -> None:
         if name == "send stop":
             return
         reading = result.reading if isinstance(result, MotionEnd) else result
         complete = not isinstance(result, MotionEnd) or result.complete
-        self._take_in(reading, now)
+        self._readings.take_in(reading, now)
         if self._halting:
             self._halt(now)
         elif name == "connect":
@@ -561,7 +424,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         if name == "connect":
             self.patience = patience_after(self.patience, fault)
         if self.state is S.INACTIVE and fault.reason not in LINE_LOST:
-            self._reading_kept = None  # the position is known again after the next reading
+            self._readings.last = None  # the position is known again after the next reading
             return
         if name == "connect" and fault.reason in MUTE and tried < LONGEST_TIMEOUT_S:
             # The board may still be starting, because opening a port restarts many boards.
@@ -589,10 +452,10 @@ class ArmLogic(DeviceLogic[State, Event]):
         result = event.result
         reading = result.reading if isinstance(result, MotionEnd) else result
         if isinstance(reading, Reading) and not self._stops.stopped:
-            self._take_in(reading, now)
+            self._readings.take_in(reading, now)
 
     def _read_done(self, result: Any, now: Now) -> None:
-        self._take_in(result, now)
+        self._readings.take_in(result, now)
         if self.state is S.IN_POSITION:
             self._check_place(result)
 
@@ -619,12 +482,6 @@ class ArmLogic(DeviceLogic[State, Event]):
                 "clear_fault and home",
             )
 
-    def _take_in(self, reading: Reading, now: Now) -> None:
-        self._reading_kept = reading
-        if reading.homed:
-            age = max(now.steady - reading.stamp, 0.0)
-            self._read_stamp = to_stamp(now.ros - round(1e9 * age))
-
     # States
 
     def _code_of(self, fault: HardwareFault) -> int:
@@ -634,15 +491,13 @@ class ArmLogic(DeviceLogic[State, Event]):
         self._is_released = False
         self._cell = event.cell
         self._geometry = event.cell.arm.geometry()
-        self._longest_hold = permit.longest_hold(event.cell)
-        # Before a restart, this node may have granted a promise to stand still, possibly to a
-        # tapper with another cell file. Assume that the longest possible promise was granted.
-        self._promise_end = max(self._promise_end, now.steady + permit.LONGEST_HOLD_S)
+        self._readings.configure(event.cell)
+        self._still.configure(event.cell, now)
 
     def _closed(self) -> None:
         self._halting = False
         self._tap_id = 0
-        self._reading_kept = None
+        self._readings.last = None
         # After a failed attempt to connect, the reason for the failure remains.
         if self.state not in (S.STOPPED, S.DISCONNECTED):
             self._machine.move(Event.CLOSED, S.DISCONNECTED)
@@ -668,9 +523,9 @@ class ArmLogic(DeviceLogic[State, Event]):
         return self._locked
 
     def _connected(self, answer: Any, now: Now) -> None:
-        self._reading_kept = answer if isinstance(answer, Reading) else None
-        if self._reading_kept is not None:
-            self._take_in(self._reading_kept, now)
+        self._readings.last = None
+        if isinstance(answer, Reading):
+            self._readings.take_in(answer, now)
         self._stand(Event.CONNECTED)
 
     def _stand(self, event: Event) -> None:
@@ -680,7 +535,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         if not self._active and event is not Event.CONNECTED:
             self._machine.move(event, S.INACTIVE)
             self._error = INACTIVE_ERROR
-        elif self._homed():
+        elif self._readings.of_homed_arm is not None:
             self._machine.move(event, S.IDLE)
             self._error = (ErrorCode.NONE, "")
         else:
@@ -689,9 +544,6 @@ class ArmLogic(DeviceLogic[State, Event]):
                 ErrorCode.ARM_NOT_HOMED,
                 "the arm is not homed; make sure that its path is free, then home the arm",
             )
-
-    def _homed(self) -> bool:
-        return self._reading_kept is not None and self._reading_kept.homed
 
     def _activated(self, now: Now) -> None:
         # If a job abandoned at the deactivation still runs, its end activates the arm (``_halt``).
@@ -724,7 +576,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         self._overtake()
         self._halting = False
         self._tap_id = 0
-        self._reading_kept = None
+        self._readings.last = None
         self._scene = None  # a late withdrawal must not move the arm after the stop was cleared
         self._machine.move(Event.STOP, S.STOPPED)
         self._set_error(*self.stop_error)
@@ -738,7 +590,7 @@ class ArmLogic(DeviceLogic[State, Event]):
     def _fail_to(self, target: State) -> None:
         self._overtake()
         self._halting = False
-        self._reading_kept = self._scene = None
+        self._readings.last = self._scene = None
         self._machine.move(Event.FAILED, target)
 
     def _healthy(self) -> bool:
@@ -777,7 +629,7 @@ class ArmLogic(DeviceLogic[State, Event]):
     # Reports
 
     def _report(self, now: Now) -> Publish:
-        reading = self._reading_kept if self._homed() else None
+        reading = self._readings.of_homed_arm
         code, sentence = self._shown_error(now)
         message = ArmState(
             state=WIRE[self.state],
@@ -791,76 +643,25 @@ class ArmLogic(DeviceLogic[State, Event]):
             error_msg=sentence,
         )
         message.header.frame_id = "table"
-        message.header.stamp = self._read_stamp if reading is not None else to_stamp(now.ros)
+        message.header.stamp = self._readings.stamp if reading is not None else to_stamp(now.ros)
         if reading is not None:
-            message.tip_pose = self._tip_pose(reading)
+            message.tip_pose = self._readings.tip_pose(reading)
         return Publish("arm_state", message)
 
     def _is_key_held(self, now: Now) -> bool:
         return self._options.set_up and self._enabling.held(now)
 
     def _drain(self, now: Now) -> Sequence[Effect]:
-        self._publish_joints()
+        joints = self._readings.new_joints()
+        if joints is not None:
+            self._effects.append(Publish("joint_states", joints))
         return super()._drain(now)
-
-    def _publish_joints(self) -> None:
-        """Publish the joint states of a new reading, unless the arm's own ROS driver publishes
-        joint states."""
-        reading = self._reading_kept if self._homed() else None
-        if reading is None or self._read_stamp == self._joints_published:
-            return
-        if self._cell.arm.ros2_control is not None:
-            return
-        self._joints_published = self._read_stamp
-        joints = JointState(name=list(Joints._fields), position=list(reading.joints))
-        joints.header.stamp = self._read_stamp
-        self._effects.append(Publish("joint_states", joints))
-
-    def _tip_pose(self, reading: Reading) -> PoseMessage:
-        """Return the tip's pose in ``table`` from a reading; computed once per reading."""
-        measured, pose = self._tip
-        if measured is not reading:
-            tip = self._geometry.forward(reading.joints)
-            planar = self._cell.arm_base @ Pose(tip.x, tip.y, tip.yaw)
-            pose = to_message(planar, tip.z)
-            self._tip = reading, pose
-        return pose
 
     def _urgent_content(self, now: Now) -> tuple[object, ...]:
         # While the arm moves to a strike pose, each new read-back is published immediately.
         state = self.state
-        read = self._read_stamp if state is S.PLACING else None
+        read = self._readings.stamp if state is S.PLACING else None
         return WIRE[state], self._tap_id, self._is_key_held(now), self._shown_error(now), read
 
 
 INACTIVE_ERROR = (ErrorCode.NOT_ACTIVE, "the arm's node is not active; activate it")
-
-
-def trajectory_targets(message: JointTrajectory) -> list[tuple[Joints, float]]:
-    """Return, for each point, the joint values and the time from the start of the trajectory, s.
-
-    Raises:
-        ValueError: the trajectory is invalid; the message says why.
-    """
-    names = list(Joints._fields)
-    if sorted(message.joint_names) != sorted(names) or not message.points:
-        raise ValueError(
-            f"its joints are {list(message.joint_names)} with {len(message.points)} points; it"
-            f" needs points for {names}"
-        )
-    order = [list(message.joint_names).index(name) for name in names]
-    targets: list[tuple[Joints, float]] = []
-    for number, point in enumerate(message.points, start=1):
-        if len(point.positions) != len(names) or not all(map(math.isfinite, point.positions)):
-            raise ValueError(
-                f"point {number} has the positions {list(point.positions)}; it needs four finite"
-                " numbers (rad, rad, m, rad)"
-            )
-        at = point.time_from_start.sec + 1e-9 * point.time_from_start.nanosec
-        before = targets[-1][1] if targets else 0.0
-        if at < 0 or (targets and at <= before):
-            raise ValueError(
-                f"point {number} is due at {at:g} s, but must be later than {before:g} s"
-            )
-        targets.append((Joints(*(point.positions[index] for index in order)), at))
-    return targets

@@ -1,4 +1,4 @@
-"""Validity of a person's confirmation of a planned tap.
+"""Confirmation of planned taps by a person, and how long it remains valid.
 
 If a confirmed tap is not fired because a message or image came too late, the tap is planned again.
 The confirmation remains valid if the new tap is nearly the same as the confirmed tap. Otherwise, a
@@ -8,9 +8,9 @@ new confirmation is requested, and the request states the difference.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-from tapping_cell.logic.task import Shot
+from tapping_cell.logic.task import Shot, Task
 from tapping_cell.se2 import Pose
 
 HOLDS_S = 20.0
@@ -76,3 +76,65 @@ class Confirmation:
 
 def _apart(one: Pose, other: Pose, distance: float, angle: float) -> bool:
     return one.distance_to(other) > distance or abs(one.rotation_to(other)) > angle
+
+
+class Confirmations:
+    """Whether a person confirms the taps, and the last tap that a person confirmed."""
+
+    def __init__(self, ask: bool) -> None:
+        self._ask = ask
+        self._ask_resumed = False
+        self._confirmed: Confirmation | None = None
+
+    @property
+    def always(self) -> bool:
+        """Whether a person confirms the taps of every goal."""
+        return self._ask or self._ask_resumed
+
+    def asks(self, task: Task | None) -> bool:
+        """Return whether a person confirms the taps of ``task`` (None: of the next goal)."""
+        return self._ask or (task is not None and (task.ask or self._ask_resumed))
+
+    def change(self, ask: bool) -> None:
+        """Set whether a person confirms the taps that are planned from now on."""
+        self._ask, self._ask_resumed = ask, False
+
+    def resume(self, always: bool) -> None:
+        """Set whether the planner that crashed was to ask before every tap. This applies to the
+        resumed goal until somebody changes ``ask``."""
+        self._ask_resumed = always
+
+    def begin(self, resumed: bool) -> None:
+        """Begin a goal. ``resumed``: whether it is the goal of a planner that crashed."""
+        self._ask_resumed = self._ask_resumed and resumed
+
+    def confirm(self, shot: Shot, steady: float) -> None:
+        """Store that a person has confirmed this tap; ``steady``: time, s."""
+        self._confirmed = Confirmation(shot, steady)
+
+    def forget(self) -> None:
+        """End the validity of the last confirmation."""
+        self._confirmed = None
+
+    def withdraw(self, sentence: str) -> None:
+        """Ask a person again before the next tap, because the confirmed tap was not fired for the
+        reason ``sentence``. An earlier reason remains."""
+        if self._confirmed is not None and not self._confirmed.withdrawn:
+            why = f"the confirmed tap was not fired ({sentence})"
+            self._confirmed = replace(self._confirmed, withdrawn=why)
+
+    def holds(self, shot: Shot, steady: float) -> tuple[bool, str]:
+        """Return whether a person has confirmed this tap in an earlier plan that was not fired, and
+        what to write to the log."""
+        confirmed = self._confirmed
+        if confirmed is None:
+            return False, ""
+        difference = confirmed.difference(shot, steady)
+        if difference:
+            self._confirmed = None
+            shot.asked_again = f"asked again because {difference}"
+            return False, f"tap {shot.number} must be confirmed again: {difference}"
+        return True, (
+            f"tap {shot.number} differs from the confirmed tap by less than the limits; its "
+            "confirmation remains valid"
+        )

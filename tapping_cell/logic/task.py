@@ -185,6 +185,8 @@ class Task:
     without_effect: int = 0
     sent: int = 0
     """ROS time in ns; a goal with an older stamp does not replace this one."""
+    is_resumed: bool = False
+    """Whether this is the goal of a planner that crashed."""
     free_space: object | None = None
     """Map of the free space that the session uses at present."""
     arm: tuple[float, float, float, float] | None = None
@@ -327,10 +329,14 @@ class Task:
         state.taps = self.taps
         if self.records:
             state.last_tap = self.records[-1]
-        state.residual_distance = state.residual_rotation = math.nan
-        if pose is not None:
-            state.residual_distance = pose.distance_to(self.goal)
-            state.residual_rotation = pose.rotation_to(self.goal)
+        state.residual_distance, state.residual_rotation = self.residual(pose)
+
+    def residual(self, pose: Pose | None) -> tuple[float, float]:
+        """Return the distance (m) and rotation (rad) from a pose to the goal; NaN without a
+        pose."""
+        if pose is None:
+            return math.nan, math.nan
+        return pose.distance_to(self.goal), pose.rotation_to(self.goal)
 
 
 @dataclass(slots=True, eq=False, kw_only=True)

@@ -34,12 +34,18 @@ class StateMachine(Generic[State, Event]):
 
     def move(self, event: Event, target: State) -> None:
         """Go to a state. Raises UndefinedTransition if the table does not allow it."""
-        allowed = self._table.get((self._state, event), frozenset())
-        if target not in allowed:
-            raise UndefinedTransition(
-                f"{event.value} in state {self._state.value} does not lead to {target.value}"
-            )
+        check(self._table, self._state, event, target)
         self._state = target
+
+
+def check(
+    table: Mapping[tuple[State, Event], frozenset[State]], state: State, event: Event, target: State
+) -> None:
+    """Raise UndefinedTransition if the table does not allow this transition."""
+    if target not in table.get((state, event), frozenset()):
+        raise UndefinedTransition(
+            f"{event.value} in state {state.value} does not lead to {target.value}"
+        )
 
 
 def table(

@@ -27,7 +27,7 @@ from tapping_cell_msgs.msg import ArmState, ErrorCode, TapCommand, TapperState
 from tapping_cell_msgs.srv import HoldStill
 
 from tapping_cell.configuration.cell import load_cell
-from tapping_cell.logic import arm as arms
+from tapping_cell.logic import arm_states
 from tapping_cell.nodes.cell_node import COMMAND, LATCHED
 from tapping_cell.nodes.conversions import to_message
 from tapping_cell.nodes.drivers.scara_arm import ScaraArm
@@ -47,10 +47,10 @@ TRIES = 10
 SLOW = TapperMachine(SpringMechanism(step_rate=400.0))
 """This spring takes 2 s to charge, so that a disturbance can happen while it is being charged."""
 CARRYING = (
-    arms.State.HOMING,
-    arms.State.LEAVING,
-    arms.State.WITHDRAWING,
-    arms.State.FOLLOWING,
+    arm_states.State.HOMING,
+    arm_states.State.LEAVING,
+    arm_states.State.WITHDRAWING,
+    arm_states.State.FOLLOWING,
 )
 """States in which a motion carries a charged striker away. Motions to a strike pose are not among
 them, because they are allowed with a charged striker. A motion in one of these states is completed

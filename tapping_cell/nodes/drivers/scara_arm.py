@@ -19,7 +19,8 @@ from tapping_cell.hardware.link_frames import LINKS, LinkFrame, link_frames
 from tapping_cell.hardware.scara import Joints, ScaraGeometry
 from tapping_cell.hardware.serial_transport import SerialTransport
 from tapping_cell.logic import arm_jobs, enabling
-from tapping_cell.logic.arm import ArmLogic, ArmOptions, State
+from tapping_cell.logic.arm import ArmLogic, ArmOptions
+from tapping_cell.logic.arm_states import State
 from tapping_cell.logic.frames import TABLE
 from tapping_cell.nodes.cell_node import COMMAND, LATCHED
 from tapping_cell.nodes.cell_parameters import ObjectParameters

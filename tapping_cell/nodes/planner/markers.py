@@ -17,7 +17,7 @@ from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
 from tapping_cell.configuration.cell import Cell
-from tapping_cell.logic.planner import Scene
+from tapping_cell.logic.planner_reports import Scene
 from tapping_cell.nodes.conversions import to_message
 from tapping_cell.nodes.message_conversion import to_ros
 from tapping_cell.planning import CircleArea, Strike

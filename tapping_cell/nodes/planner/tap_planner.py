@@ -25,7 +25,8 @@ from tapping_cell.logic import effects
 from tapping_cell.logic.fixed_goal_handling import goal_handling_class
 from tapping_cell.logic.host import Configured
 from tapping_cell.logic.other_objects import OtherObjects
-from tapping_cell.logic.planner import PlannerLogic, Scene
+from tapping_cell.logic.planner import PlannerLogic
+from tapping_cell.logic.planner_reports import Scene
 from tapping_cell.logic.planner_settings import PlannerSettings
 from tapping_cell.nodes.cell_identity import key_of, state_folder
 from tapping_cell.nodes.cell_node import BEST_EFFORT_COMMAND, COMMAND, LATCHED, run

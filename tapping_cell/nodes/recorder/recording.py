@@ -15,7 +15,7 @@ from typing import Any
 from tapping_cell_msgs.msg import ArrangementState, GoalReport, PlanState
 
 from tapping_cell.configuration.cell import Cell, cells_of
-from tapping_cell.logic.planner import WORKING_STATES
+from tapping_cell.logic.planner_states import WORKING_STATES
 from tapping_cell.planning.prescribed import METHOD as PRESCRIBED
 from tapping_cell.report.bag import BagError, BagWriter, Quality
 from tapping_cell.report.message_files import UnknownMessageType

@@ -25,6 +25,7 @@ from tapping_cell.logic.device import DeviceLogic
 from tapping_cell.logic.goal_handling import GoalHandling
 from tapping_cell.logic.planner import PlannerLogic
 from tapping_cell.logic.planner_settings import PlannerSettings
+from tapping_cell.logic.standing_still import StandingStill
 from tapping_cell.logic.table_maps import TableMaps
 from tapping_cell.logic.tapper import TapperLogic, TapperOptions
 from tapping_cell.logic.tapper_peers import PeerLimits
@@ -139,10 +140,15 @@ def deaf(self: DeviceLogic[Any, Any], topic: str, message: Any, now: Now) -> Any
     return () if topic == "emergency_stop" else DeviceLogic.on_message(self, topic, message, now)
 
 
+def forgetting(name: str) -> dict[str, Any]:
+    """Return the attributes of an arm that forgets until when it must stand still."""
+    return {"_still": fixed(broken(StandingStill, **{name: fixed(-math.inf)})())}
+
+
 BROKEN_ARMS = {
-    "leaves before the end of its promise": ("A3", {"_promise_end": fixed(-math.inf)}),
+    "leaves before the end of its promise": ("A3", forgetting("until")),
     "grants every promise": ("A4", {"_hold_still": grants_always}),
-    "leaves with a charged striker": ("A5", {"_charged_until": fixed(-math.inf)}),
+    "leaves with a charged striker": ("A5", forgetting("_charged_until")),
     "forgets the ids that it has executed": ("A6", {"_last_id": fixed(0)}),
     "accepts every command": ("A7", {"_refusal": lambda self, command, now: None}),
     "does not know its frame": ("A8", {"_refusal": lambda self, command, now: None}),

@@ -20,7 +20,7 @@ from tapping_cell.hardware.faults import FaultReason, HardwareFault
 from tapping_cell.hardware.motion import Waypoint
 from tapping_cell.hardware.scara import Joints, TipPose
 from tapping_cell.logic import arm as arms
-from tapping_cell.logic import arm_jobs, permit
+from tapping_cell.logic import arm_jobs, arm_states, permit
 from tapping_cell.logic import tapper as tappers
 from tapping_cell.logic.arm_jobs import MotionEnd, Reading
 from tapping_cell.logic.clock import Now, to_stamp
@@ -47,6 +47,7 @@ from tapping_cell.logic.host import (
     UnansweredRequest,
     Unreachable,
 )
+from tapping_cell.logic.standing_still import DISCHARGED_S, LONGEST_WAIT_S
 from tapping_cell.messages import (
     ArmState,
     Bool,
@@ -85,11 +86,11 @@ def test_an_arm_pushed_off_its_position_is_a_fault() -> None:
     pushed = place._replace(shoulder=place.shoulder + 0.01)
     assert read(pair, place, START + 1.0) is not None
     read(pair, pushed, START + 1.1)
-    assert pair.arm.state is arms.State.IN_POSITION
+    assert pair.arm.state is arm_states.State.IN_POSITION
     read(pair, place, START + 1.2)
     read(pair, pushed, START + 1.3)
     read(pair, pushed, START + 1.4)
-    assert pair.arm.state is arms.State.FAULT
+    assert pair.arm.state is arm_states.State.FAULT
     assert pair.arm.error[0] == ErrorCode.ARM_POSITION_MISMATCH
 
 
@@ -114,7 +115,7 @@ def test_an_arm_that_may_have_moved_promises_nothing_and_a_second_such_reading_i
 
     read(pair, off, START + 1.0, **changed)
     assert not is_granted(START + 1.01)
-    assert pair.arm.state is arms.State.IN_POSITION
+    assert pair.arm.state is arm_states.State.IN_POSITION
     read(pair, PARK, START + 1.1)
     assert is_granted(START + 1.11)
     for later in (1.2, 1.3):
@@ -209,11 +210,11 @@ def test_a_fault_during_a_move_after_a_withdrawal_can_be_cleared() -> None:
     (withdraw,) = [e.job for e in made if isinstance(e, RunJob) and e.job.name == "withdraw"]
     fault = HardwareFault(FaultReason.TIMEOUT, "a move was not finished in time")
     arm.on_job(JobEnded(withdraw.number, fault=fault), at(START + 2.0))
-    assert arm.state is arms.State.FAULT
+    assert arm.state is arm_states.State.FAULT
     (clear,) = jobs(arm.on_request("~/clear_fault", Trigger.Request(), 1, at(START + 3.0)))
     cleared = Reading(False, joints, False, START + 3.0)
     arm.on_job(JobEnded(clear, cleared), at(START + 3.1))
-    assert arm.state is arms.State.NOT_HOMED
+    assert arm.state is arm_states.State.NOT_HOMED
     assert jobs(arm.on_request("~/home", Trigger.Request(), 2, at(START + 4.0)))
 
 
@@ -230,7 +231,7 @@ def test_a_late_withdrawal_after_a_stop_or_fault_moves_nothing(fault: bool) -> N
     (number,) = jobs(arm.on_message("tap_command", withdrawal, at(START + 1.0)))
     here = Reading(True, PARK, False, START + 2.0)
     arm.on_job(JobEnded(number, MotionEnd(True, here)), at(START + 2.0))
-    assert arm.state is arms.State.IDLE
+    assert arm.state is arm_states.State.IDLE
     if fault:
         arm.on_defect(RuntimeError("for this test"), at(START + 2.5))
     else:
@@ -243,9 +244,9 @@ def test_a_late_withdrawal_after_a_stop_or_fault_moves_nothing(fault: bool) -> N
     arm.on_job(JobEnded(clear, Reading(False, PARK, False, START + 4.0)), at(START + 4.0))
     (home,) = jobs(arm.on_request("~/home", Trigger.Request(), 3, at(START + 5.0)))
     arm.on_job(JobEnded(home, replace(here, stamp=START + 9.0)), at(START + 9.0))
-    assert arm.state is arms.State.IDLE
+    assert arm.state is arm_states.State.IDLE
     assert not withdraws(arm.on_message("tap_command", withdrawal, at(START + 10.0)))
-    assert arm.state is arms.State.IDLE
+    assert arm.state is arm_states.State.IDLE
 
 
 @pytest.mark.parametrize("activated_first", [False, True])
@@ -259,16 +260,16 @@ def test_a_fault_outlasts_a_deactivation_until_it_is_cleared(activated_first: bo
     fault = arm.error
     assert fault[0] == ErrorCode.ARM_POSITION_MISMATCH
     arm.on_lifecycle(Deactivated(), at(START + 2.0))
-    assert (arm.state, arm.error) == (arms.State.FAULT, fault)
+    assert (arm.state, arm.error) == (arm_states.State.FAULT, fault)
     if activated_first:
         arm.on_lifecycle(Activated(), at(START + 3.0))
-        assert (arm.state, arm.error) == (arms.State.FAULT, fault)
+        assert (arm.state, arm.error) == (arm_states.State.FAULT, fault)
     (clear,) = jobs(arm.on_request("~/clear_fault", Trigger.Request(), 1, at(START + 4.0)))
     arm.on_job(JobEnded(clear, Reading(False, PARK, False, START + 4.5)), at(START + 4.5))
     if not activated_first:
-        assert arm.state is arms.State.INACTIVE
+        assert arm.state is arm_states.State.INACTIVE
         arm.on_lifecycle(Activated(), at(START + 5.0))
-    assert arm.state is arms.State.NOT_HOMED
+    assert arm.state is arm_states.State.NOT_HOMED
 
 
 def test_an_unreachable_strike_pose_is_not_a_fault() -> None:
@@ -278,7 +279,7 @@ def test_an_unreachable_strike_pose_is_not_a_fault() -> None:
         arm.on_message("tap_command", pair.command(TapCommand.WITHDRAW, at(START)), at(START))
     )
     arm.on_job(JobEnded(number, here), at(START + 1.0))
-    assert arm.state is arms.State.IDLE
+    assert arm.state is arm_states.State.IDLE
     command = pair.command(TapCommand.TAP, at(START))
     command.tap_id = TAP + 1
     (place,) = jobs(arm.on_message("tap_command", command, at(START + 2.0)))
@@ -286,7 +287,7 @@ def test_an_unreachable_strike_pose_is_not_a_fault() -> None:
     (withdraw,) = jobs(arm.on_job(JobEnded(place, fault=fault), at(START + 2.1)))
     assert arm.error == (ErrorCode.ARM_OUT_OF_REACH, "joint elbow would need 170 deg")
     arm.on_job(JobEnded(withdraw, here), at(START + 3.0))
-    assert arm.state is arms.State.IDLE
+    assert arm.state is arm_states.State.IDLE
 
 
 @given(st.sampled_from([0, TAP - 1, TAP + 1]))
@@ -295,7 +296,7 @@ def test_a_withdrawal_of_another_tap_does_nothing(tap_id: int) -> None:
     command = pair.command(TapCommand.WITHDRAW, at(START))
     command.tap_id = tap_id
     assert jobs(pair.arm.on_message("tap_command", command, at(START + 1.0))) == []
-    assert pair.arm.state is arms.State.IN_POSITION
+    assert pair.arm.state is arm_states.State.IN_POSITION
 
 
 def test_a_stop_preempts_any_activity() -> None:
@@ -305,10 +306,10 @@ def test_a_stop_preempts_any_activity() -> None:
     command = pair.command(TapCommand.WITHDRAW, at(START))
     (number,) = jobs(arm.on_message("tap_command", command, at(START)))
     arm.on_message("emergency_stop", Bool(data=True), at(START + 1.1))
-    assert arm.state is arms.State.STOPPED
+    assert arm.state is arm_states.State.STOPPED
     here = Reading(True, Joints(*CELL.file.arm.park), False, START)
     arm.on_job(JobEnded(number, here), at(START + 1.2))
-    assert arm.state is arms.State.STOPPED
+    assert arm.state is arm_states.State.STOPPED
     assert jobs(arm.on_tick(at(START + 2.0))) == []
 
 
@@ -343,7 +344,7 @@ def test_a_program_error_during_a_read_ends_a_motion_that_was_begun_meanwhile() 
     made = arm.on_job(JobEnded(read, fault=ValueError("a defect")), at(START + 0.1))
     assert any(isinstance(effect, StopWire) for effect in made)
     assert AbandonJob(place) in made
-    assert (arm.state, arm.error[0]) == (arms.State.FAULT, ErrorCode.INTERNAL)
+    assert (arm.state, arm.error[0]) == (arm_states.State.FAULT, ErrorCode.INTERNAL)
 
 
 def test_a_program_error_does_not_end_the_job_that_sends_a_stop() -> None:
@@ -363,7 +364,7 @@ def test_a_stop_that_a_program_error_interrupts_is_completed(monkeypatch):
         with pytest.raises(ValueError, match="defect"):
             arm.on_request("~/stop", Trigger.Request(), 1, at(START + 1.0))
     arm.on_defect(ValueError("a defect"), at(START + 1.0))
-    assert arm.stopped and arm.state is arms.State.STOPPED
+    assert arm.stopped and arm.state is arm_states.State.STOPPED
 
 
 @pytest.mark.parametrize(
@@ -372,7 +373,7 @@ def test_a_stop_that_a_program_error_interrupts_is_completed(monkeypatch):
 def test_a_stop_whose_handler_raises_is_latched_and_stored(stop: LostEvent) -> None:
     arm = in_position().arm
     made = arm.on_defect(ValueError("a defect"), at(START + 1.0), stop)
-    assert arm.stopped and arm.state is arms.State.STOPPED
+    assert arm.stopped and arm.state is arm_states.State.STOPPED
     assert any(isinstance(effect, KeepStop) for effect in made)
 
 
@@ -386,7 +387,7 @@ def test_a_request_to_clear_is_answered_once_if_a_program_error_occurs_meanwhile
     assert answer.token == 2 and not answer.response.success
     made = arm.on_answer(asked, StopLevels(False, (), ()), at(START + 2.3))
     assert not any(isinstance(effect, Answer) for effect in made)
-    assert arm.state is arms.State.STOPPED
+    assert arm.state is arm_states.State.STOPPED
 
 
 @pytest.mark.parametrize("broken", ["_begin_clear", "_answer", "_urgent_content"])
@@ -414,9 +415,9 @@ def test_a_stop_can_be_cleared_again_if_a_program_error_interrupts_its_clearing(
         if isinstance(effect, Publish) and effect.topic == "~/stop_state"
     )
     assert arm.stopped == told.stopped == (stored.content is not None)
-    assert arm.state in (arms.State.STOPPED, arms.State.FAULT)
+    assert arm.state in (arm_states.State.STOPPED, arm_states.State.FAULT)
     made = arm.on_request("~/clear_fault", Trigger.Request(), 3, at(START + 3.0))
-    assert arm.state is arms.State.CLEARING and jobs(made)
+    assert arm.state is arm_states.State.CLEARING and jobs(made)
 
 
 def raise_error(*_: object) -> None:
@@ -434,7 +435,7 @@ def test_a_stop_while_the_last_stop_is_being_cleared_is_sent_again_afterwards() 
     arm.on_request("~/stop", Trigger.Request(), 3, now)
     made = arm.on_job(JobEnded(clear, Reading(False, PARK, False, START + 1.1)), at(START + 1.1))
     assert any(isinstance(effect, StopWire) for effect in made)
-    assert arm.state is arms.State.STOPPED
+    assert arm.state is arm_states.State.STOPPED
 
 
 def withdraws(made: Sequence[Effect]) -> bool:
@@ -479,7 +480,7 @@ def test_a_report_received_after_the_outcome_is_ignored() -> None:
 
 
 @given(
-    st.floats(0.0, arms.DISCHARGED_S - 0.01),
+    st.floats(0.0, DISCHARGED_S - 0.01),
     st.sampled_from([TapperState.SAFE, TapperState.FAULT, TapperState.DISCONNECTED]),
     st.sampled_from([TapperState.NONE, TapperState.FIRED, TapperState.NOT_FIRED]),
     st.booleans(),
@@ -498,7 +499,7 @@ def test_only_the_tapper_itself_at_rest_lets_the_arm_leave_sooner(
     assert withdraws(made) == at_rest
     if not at_rest:
         assert not withdraws(pair.arm.on_tick(at(START + 1.0 + wait)))
-        assert withdraws(pair.arm.on_tick(at(START + 1.0 + arms.DISCHARGED_S + 0.01)))
+        assert withdraws(pair.arm.on_tick(at(START + 1.0 + DISCHARGED_S + 0.01)))
 
 
 @pytest.mark.parametrize(("age", "moves"), [(0.0, True), (2.9, True), (3.1, False)])
@@ -510,7 +511,7 @@ def test_an_old_withdrawal_moves_nothing(age: float, moves: bool) -> None:
     assert withdraws(made) == moves
 
 
-@given(st.floats(0.0, arms.DISCHARGED_S - 0.01))
+@given(st.floats(0.0, DISCHARGED_S - 0.01))
 def test_an_arm_that_was_deactivated_homes_only_when_the_striker_is_discharged(wait):
     pair = in_position()
     report(pair, TapperState.CHARGED, START + 1.0)
@@ -519,7 +520,7 @@ def test_an_arm_that_was_deactivated_homes_only_when_the_striker_is_discharged(w
     made = pair.arm.on_request("~/home", Trigger.Request(), 3, at(START + 1.0 + wait))
     (job,) = (e.job for e in made if isinstance(e, RunJob))
     assert isinstance(job.run, partial)
-    assert job.run.keywords["not_before"] == START + 1.0 + arms.DISCHARGED_S
+    assert job.run.keywords["not_before"] == START + 1.0 + DISCHARGED_S
 
 
 @pytest.mark.parametrize("name", ["withdraw", "home", "follow", "place"])
@@ -544,7 +545,7 @@ def moving(name: str) -> tuple[Pair, Job]:
     made = arm.on_message("tap_command", pair.command(TapCommand.WITHDRAW, now), now)
     if name != "withdraw":
         arm.on_job(JobEnded(*jobs(made), MotionEnd(True, Reading(True, PARK, False, START))), now)
-        assert arm.state is arms.State.IDLE
+        assert arm.state is arm_states.State.IDLE
     if name == "home":
         made = arm.on_request("~/home", Trigger.Request(), 1, now)
     elif name == "follow":
@@ -566,7 +567,7 @@ def test_an_unreachable_strike_pose_of_a_withdrawn_tap_is_not_a_fault() -> None:
     arm.on_message("tap_command", withdrawal, at(START + 1.0))
     fault = HardwareFault(FaultReason.UNREACHABLE, "joint elbow would need 170 deg")
     assert withdraws(arm.on_job(JobEnded(job.number, fault=fault), at(START + 1.1)))
-    assert arm.state is arms.State.WITHDRAWING
+    assert arm.state is arm_states.State.WITHDRAWING
 
 
 def test_an_arm_that_reconnects_while_its_node_is_inactive_accepts_no_goal() -> None:
@@ -575,12 +576,12 @@ def test_an_arm_that_reconnects_while_its_node_is_inactive_accepts_no_goal() -> 
     (read,) = jobs(arm.on_tick(at(START + 2.0)))
     unplugged = HardwareFault(FaultReason.DISCONNECTED, "unplugged")
     arm.on_job(JobEnded(read, fault=unplugged), at(START + 2.0))
-    assert arm.state is arms.State.DISCONNECTED
+    assert arm.state is arm_states.State.DISCONNECTED
     (connect,) = jobs(arm.on_tick(at(START + 3.0)))
     arm.on_job(JobEnded(connect, here), at(START + 3.0))
-    assert (arm.state, arm.error[0]) == (arms.State.INACTIVE, ErrorCode.NOT_ACTIVE)
+    assert (arm.state, arm.error[0]) == (arm_states.State.INACTIVE, ErrorCode.NOT_ACTIVE)
     arm.on_lifecycle(Activated(), at(START + 4.0))
-    assert arm.state is arms.State.IDLE
+    assert arm.state is arm_states.State.IDLE
 
 
 def test_an_arm_whose_controller_is_silent_does_not_count_as_homed_when_it_is_activated() -> None:
@@ -589,7 +590,7 @@ def test_an_arm_whose_controller_is_silent_does_not_count_as_homed_when_it_is_ac
     (read,) = jobs(arm.on_tick(at(START + 2.0)))
     arm.on_job(JobEnded(read, fault=HardwareFault(FaultReason.TIMEOUT, "")), at(START + 2.0))
     arm.on_lifecycle(Activated(), at(START + 2.01))
-    assert arm.state is arms.State.NOT_HOMED
+    assert arm.state is arm_states.State.NOT_HOMED
 
 
 def test_a_board_that_is_still_starting_is_given_the_longest_timeout() -> None:
@@ -597,14 +598,14 @@ def test_a_board_that_is_still_starting_is_given_the_longest_timeout() -> None:
     (read,) = jobs(arm.on_tick(at(START + 2.0)))
     arm.on_job(JobEnded(read, fault=HardwareFault(FaultReason.DISCONNECTED, "")), at(START + 2.0))
     now, tried = START + 2.0, []
-    while arm.state is arms.State.DISCONNECTED:
+    while arm.state is arm_states.State.DISCONNECTED:
         now += 10.0
         (connect,) = jobs(arm.on_tick(at(now)))
         tried.append(arm.patience)
         fault = HardwareFault(FaultReason.UNKNOWN_FIRMWARE, "nothing answers")
         arm.on_job(JobEnded(connect, fault=fault), at(now))
         assert arm.error[1] == "nothing answers"
-    assert arm.state is arms.State.FAULT and tried == [1.0, 2.0, 4.0, 6.0]
+    assert arm.state is arm_states.State.FAULT and tried == [1.0, 2.0, 4.0, 6.0]
 
 
 @pytest.mark.parametrize("kind", [arms.ArmLogic, tappers.TapperLogic])
@@ -636,7 +637,7 @@ def test_an_arm_deactivated_before_an_unreachable_strike_pose_is_found_does_not_
     arm.on_lifecycle(Deactivated(), at(START + 1.0))
     fault = HardwareFault(FaultReason.UNREACHABLE, "joint elbow would need 170 deg")
     assert not withdraws(arm.on_job(JobEnded(job.number, fault=fault), at(START + 1.1)))
-    assert arm.state is arms.State.INACTIVE
+    assert arm.state is arm_states.State.INACTIVE
     assert not withdraws(arm.on_tick(at(START + 1.2)))
 
 
@@ -704,10 +705,10 @@ def began(name: str, reports: Sequence[float]) -> float:
 
 
 @pytest.mark.parametrize("name", ["withdraw", "follow", "home"])
-@given(st.lists(st.floats(0.0, arms.DISCHARGED_S - 0.01), max_size=3))
+@given(st.lists(st.floats(0.0, DISCHARGED_S - 0.01), max_size=3))
 def test_each_report_of_a_charged_striker_during_the_wait_delays_the_motion(name, gaps):
     reports = list(accumulate(gaps, initial=START + 0.9))
-    assert began(name, reports) == pytest.approx(reports[-1] + arms.DISCHARGED_S, abs=0.011)
+    assert began(name, reports) == pytest.approx(reports[-1] + DISCHARGED_S, abs=0.011)
 
 
 def test_reports_of_the_last_tap_delay_a_motion_that_clears_the_view() -> None:
@@ -720,19 +721,19 @@ def test_reports_of_the_last_tap_delay_a_motion_that_clears_the_view() -> None:
     assert isinstance(job.run, partial)
     context = Clockwork(pair, [START + 1.003, START + 1.5])
     job.run(context, plan=lambda here: (Waypoint(here, 1.0, "aside"),))
-    assert context.began == pytest.approx(START + 1.5 + arms.DISCHARGED_S, abs=0.011)
+    assert context.began == pytest.approx(START + 1.5 + DISCHARGED_S, abs=0.011)
 
 
 @pytest.mark.parametrize("name", ["withdraw", "follow"])
 def test_a_striker_charged_while_the_job_reads_the_joints_delays_the_motion(name: str) -> None:
     reports = [START + 1.003]
-    assert began(name, reports) == pytest.approx(reports[-1] + arms.DISCHARGED_S, abs=0.011)
+    assert began(name, reports) == pytest.approx(reports[-1] + DISCHARGED_S, abs=0.011)
 
 
 @pytest.mark.parametrize("name", ["withdraw", "follow", "home"])
 def test_reports_of_a_charged_striker_delay_a_motion_for_a_limited_time(name: str) -> None:
     reports = [START + 0.9 + 0.05 * count for count in range(200)]
-    assert began(name, reports) <= START + 1.01 + arms.LONGEST_WAIT_S
+    assert began(name, reports) <= START + 1.01 + LONGEST_WAIT_S
 
 
 def test_a_tapper_that_always_reports_charged_holds_the_arm_for_a_limited_time() -> None:
@@ -741,7 +742,7 @@ def test_a_tapper_that_always_reports_charged_holds_the_arm_for_a_limited_time()
     while not withdraws(pair.arm.on_tick(at(steady))):
         report(pair, TapperState.CHARGED, steady)
         steady += 0.05
-        assert steady < START + 1.1 + arms.LONGEST_WAIT_S
+        assert steady < START + 1.1 + LONGEST_WAIT_S
 
 
 def test_a_restarted_arm_keeps_the_promise_made_with_another_cell_file() -> None:
@@ -774,7 +775,7 @@ def test_a_stop_received_before_the_port_opens_does_not_replace_the_stored_one(r
                 if isinstance(effect, KeepStop):
                     stored = effect.content
     arm.on_lifecycle(Configured(CELL, Reading(True, PARK, False, START)), at(START + 1.0))
-    assert arm.state is arms.State.STOPPED
+    assert arm.state is arm_states.State.STOPPED
     (ask,) = [
         e
         for e in arm.on_request("~/clear_fault", Trigger.Request(), 1, at(START + 2.0))

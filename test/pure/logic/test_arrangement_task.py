@@ -27,8 +27,9 @@ from tapping_cell.logic.arrangement import (
 )
 from tapping_cell.logic.clock import Now
 from tapping_cell.logic.goal_handling import GoalHandling
-from tapping_cell.logic.planner import PlannerLogic, State
+from tapping_cell.logic.planner import PlannerLogic
 from tapping_cell.logic.planner_settings import PlannerSettings
+from tapping_cell.logic.planner_states import State
 from tapping_cell.logic.poses import from_message, to_message
 from tapping_cell.logic.tapper_peers import PeerLimits, TapperPeers
 from tapping_cell.messages import (

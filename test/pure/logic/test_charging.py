@@ -15,7 +15,9 @@ from tapping_cell.logic.clock import to_stamp
 from tapping_cell.logic.effects import Call, Effect, JobEnded, RunJob
 from tapping_cell.logic.host import Activated, Configured
 from tapping_cell.logic.poses import to_message
+from tapping_cell.logic.tapper_cycle import LONGEST_CHARGED_S, LONGEST_WAIT_S
 from tapping_cell.logic.tapper_jobs import ChargeEnd, Status
+from tapping_cell.logic.tapper_states import State
 from tapping_cell.messages import ArmState, ErrorCode, ObjectState, TapCommand, TapperState
 from tapping_cell.se2 import Pose
 
@@ -26,7 +28,7 @@ def waiting(cell: Cell = CELL) -> tappers.TapperLogic:
     tapper.on_lifecycle(Configured(cell, board(BoardState.SAFE)), at(START))
     tapper.on_lifecycle(Activated(), at(START))
     tapper.on_message("tap_command", Pair().command(TapCommand.TAP, at(START)), at(START))
-    assert tapper.state is tappers.State.WAITING
+    assert tapper.state is State.WAITING
     return tapper
 
 
@@ -52,7 +54,7 @@ def test_only_an_active_tapper_serves_taps_and_no_other_request(request_, active
         tapper.on_lifecycle(Activated(), at(START))
     tapper.on_message("tap_command", Pair().command(request_, at(START)), at(START))
     is_tap = request_ == TapCommand.TAP
-    assert (tapper.state is tappers.State.WAITING) == (is_tap and active)
+    assert (tapper.state is State.WAITING) == (is_tap and active)
     refused = ErrorCode.NOT_ACTIVE if is_tap and not active else ErrorCode.NONE
     assert tapper.error[0] == refused
 
@@ -80,12 +82,12 @@ def charged_while_lowered() -> tuple[tappers.TapperLogic, list[Effect]]:
 def test_the_striker_is_charged_only_above_its_strike_pose(message: ArmState) -> None:
     tapper = waiting()
     assert jobs(tapper.on_message("arm_state", message, at(START))) == []
-    assert tapper.state is tappers.State.WAITING
+    assert tapper.state is State.WAITING
 
 
 def test_a_tapper_charged_early_asks_when_the_arm_is_in_position() -> None:
     tapper, made = charged_while_lowered()
-    assert tapper.state is tappers.State.CHARGED
+    assert tapper.state is State.CHARGED
     assert not [effect for effect in made if isinstance(effect, Call)]
     assert tapper.check_firing(START + 0.4, at(START + 0.31)) is not None
     stands = arm(ArmState.IN_POSITION, STRIKE, START + 0.5)
@@ -103,7 +105,7 @@ def test_no_shot_is_fired_if_the_arm_is_in_position_for_another_tap_with_the_sam
     stands = arm(ArmState.IN_POSITION, STRIKE @ off, START + 0.5)
     made = tapper.on_message("arm_state", stands, at(START + 0.5))
     assert not [effect for effect in made if isinstance(effect, Call)]
-    assert tapper.state is tappers.State.DISCHARGING
+    assert tapper.state is State.DISCHARGING
 
 
 @pytest.mark.parametrize("off", [0.054, 0.0025, -0.0025, math.nan])
@@ -112,7 +114,7 @@ def test_no_shot_is_fired_if_the_tip_is_not_at_its_commanded_height(off: float) 
     stands = arm(ArmState.IN_POSITION, STRIKE, START + 0.5, height=HEIGHT + off)
     made = tapper.on_message("arm_state", stands, at(START + 0.5))
     assert not [effect for effect in made if isinstance(effect, Call)]
-    assert tapper.state is tappers.State.DISCHARGING
+    assert tapper.state is State.DISCHARGING
 
 
 def test_a_tapper_charged_early_is_discharged_after_an_arm_timeout() -> None:
@@ -125,18 +127,18 @@ def test_a_tapper_charged_early_is_discharged_after_an_arm_timeout() -> None:
 def test_a_tapper_charged_early_is_discharged_when_the_arm_never_arrives() -> None:
     tapper, _ = charged_while_lowered()
     steady = START + 0.3
-    while tapper.state is tappers.State.CHARGED:
+    while tapper.state is State.CHARGED:
         steady += 0.1
         tapper.on_message("arm_state", arm(ArmState.MOVING, STRIKE, steady), at(steady))
         assert steady < START + 5.0
-    assert tapper.state is tappers.State.DISCHARGING
-    assert steady > START + tappers.LONGEST_CHARGED_S
+    assert tapper.state is State.DISCHARGING
+    assert steady > START + LONGEST_CHARGED_S
 
 
 def test_a_tapper_charged_early_is_discharged_when_the_arm_aborts_the_tap() -> None:
     tapper, _ = charged_while_lowered()
     tapper.on_message("arm_state", arm(ArmState.WITHDRAWING, STRIKE, START + 0.4), at(START + 0.4))
-    assert tapper.state is tappers.State.DISCHARGING
+    assert tapper.state is State.DISCHARGING
 
 
 def waits(seconds: float, *, sees: str = "", height: float = HEIGHT + 0.05) -> tappers.TapperLogic:
@@ -168,7 +170,7 @@ def test_what_an_accepted_tap_waits_for_is_published_and_ends_it(sees: str, code
     assert published(waits(0.2, sees=sees), 0.2).error_code == ErrorCode.NONE
     shown = published(waits(0.5, sees=sees), 0.5)
     assert (shown.error_code, shown.outcome) == (code, TapperState.NONE)
-    ended = published(waits(tappers.LONGEST_WAIT_S + 0.5, sees=sees), 5.0)
+    ended = published(waits(LONGEST_WAIT_S + 0.5, sees=sees), 5.0)
     assert (ended.error_code, ended.outcome) == (code, TapperState.NOT_FIRED)
 
 
@@ -180,7 +182,7 @@ def test_an_arm_on_its_way_is_waited_for_in_peace() -> None:
         made = tapper.on_message("arm_state", travels, at(steady))
         made = [*made, *tapper.on_tick(at(steady))]
         assert messages(made, "tapper_state")[-1].error_code == ErrorCode.NONE
-    assert tapper.state is tappers.State.WAITING
+    assert tapper.state is State.WAITING
 
 
 def test_a_tap_of_an_object_that_the_camera_does_not_know_is_refused_with_both_names() -> None:

@@ -15,7 +15,7 @@ from tapping_cell.hardware.faults import FaultReason, HardwareFault
 from tapping_cell.hardware.scara import Joints
 from tapping_cell.hardware.tapper_protocol import State as BoardState
 from tapping_cell.logic import arm as arms
-from tapping_cell.logic import enabling
+from tapping_cell.logic import arm_states, enabling
 from tapping_cell.logic import tapper as tappers
 from tapping_cell.logic.arm_jobs import Reading
 from tapping_cell.logic.clock import to_stamp
@@ -23,6 +23,7 @@ from tapping_cell.logic.effects import Answer, JobEnded, RunJob, StopWire
 from tapping_cell.logic.enabling import HEARTBEAT_S, EnablingDevice
 from tapping_cell.logic.host import Activated, Configured, Unreachable
 from tapping_cell.logic.tapper_jobs import Status
+from tapping_cell.logic.tapper_states import State
 from tapping_cell.messages import Bool, ErrorCode, TapCommand, TapperState, Trigger
 
 HELD, RELEASED = Bool(data=True), Bool(data=False)
@@ -98,7 +99,7 @@ def test_no_motion_starts_while_no_device_is_held(what: str) -> None:
         point = JointTrajectoryPoint(positions=list(PARKED), time_from_start=Duration(sec=1))
         message = JointTrajectory(joint_names=list(Joints._fields), points=[point])
         made = arm.on_message("joint_trajectory", message, now)
-    assert not jobs(made) and arm.state is arms.State.IDLE
+    assert not jobs(made) and arm.state is arm_states.State.IDLE
     if what != "home":
         assert arm.error[0] == ErrorCode.ENABLING_RELEASED
 
@@ -133,20 +134,20 @@ def test_a_trajectory_is_followed_slowly_in_set_up_mode() -> None:
 def test_a_moving_arm_stops_when_the_key_is_released(end: str) -> None:
     pair = working()
     arm, now = pair.arm, at(START + 1.1 * HEARTBEAT_S)
-    assert arm.state is arms.State.IN_POSITION
+    assert arm.state is arm_states.State.IN_POSITION
     if end == "let go":
         made = arm.on_message(enabling.TOPIC, RELEASED, at(START + 0.01))
     elif end == "silence":
         made = arm.on_tick(now)
     else:
         made = arm.on_message("tapper_state", TapperState(), now)
-    assert isinstance(made[0], StopWire) and arm.state is arms.State.STOPPED
+    assert isinstance(made[0], StopWire) and arm.state is arm_states.State.STOPPED
     assert arm.error[0] == ErrorCode.ENABLING_RELEASED
     (stop,) = messages(made, "stop_state") or messages(made, "~/stop_state")
     assert stop.stopped and enabling.SOURCE in stop.sources
     # Holding the key again does not restart the arm; a person must clear the stop first.
     made = arm.on_message(enabling.TOPIC, HELD, at(START + 1.0))
-    assert not jobs(made) and arm.state is arms.State.STOPPED
+    assert not jobs(made) and arm.state is arm_states.State.STOPPED
 
 
 def test_releasing_the_key_does_not_stop_an_idle_arm() -> None:
@@ -154,7 +155,7 @@ def test_releasing_the_key_does_not_stop_an_idle_arm() -> None:
     arm.on_message(enabling.TOPIC, HELD, at(START))
     arm.on_message(enabling.TOPIC, RELEASED, at(START + 0.1))
     arm.on_tick(at(START + 5.0))
-    assert arm.state is arms.State.IDLE
+    assert arm.state is arm_states.State.IDLE
 
 
 def report(published: float, held: bool = True) -> TapperState:
@@ -172,7 +173,7 @@ def begins_a_tap(arm: arms.ArmLogic, time: float) -> bool:
 def test_the_foot_switch_enables_as_the_key_does() -> None:
     arm = idle_arm()
     arm.on_message("tapper_state", report(START), at(START))
-    assert begins_a_tap(arm, START) and arm.state is arms.State.PLACING
+    assert begins_a_tap(arm, START) and arm.state is arm_states.State.PLACING
 
 
 def test_a_report_of_the_switch_without_a_stamp_does_not_enable() -> None:
@@ -215,7 +216,7 @@ def test_a_charged_tapper_discharges_when_the_key_is_released() -> None:
     tapper = pair.tapper
     made = tapper.on_message(enabling.TOPIC, RELEASED, at(START + 0.05))
     (discharge,) = jobs(made)
-    assert tapper.state is tappers.State.DISCHARGING
+    assert tapper.state is State.DISCHARGING
     status = Status(board(BoardState.SAFE), 0)
     reported = messages(tapper.on_job(JobEnded(discharge, status), at(START + 0.1)), "tapper_state")
     assert reported[-1].outcome == TapperState.NOT_FIRED
@@ -245,7 +246,7 @@ def test_the_board_reports_its_switch() -> None:
     assert messages(made, "tapper_state")[-1].enabling_switch
     tap = Pair().command(TapCommand.TAP, now)
     tapper.on_message("tap_command", tap, at(START + 0.3))
-    assert tapper.state is tappers.State.WAITING
+    assert tapper.state is State.WAITING
 
 
 def test_without_set_up_mode_no_device_is_required() -> None:
@@ -254,8 +255,8 @@ def test_without_set_up_mode_no_device_is_required() -> None:
     for machine in (pair.arm, pair.tapper):
         machine.on_message(enabling.TOPIC, RELEASED, at(START + 0.1))
         machine.on_tick(at(START + 0.1))
-    assert pair.arm.state is arms.State.IN_POSITION
-    assert pair.tapper.state is tappers.State.CHARGED
+    assert pair.arm.state is arm_states.State.IN_POSITION
+    assert pair.tapper.state is State.CHARGED
 
 
 @pytest.mark.parametrize("event", ["stop", "silence"])

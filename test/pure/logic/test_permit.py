@@ -23,7 +23,7 @@ from tapping_cell.hardware.tapper import CLOCK_TOLERANCE, FireOutcome
 from tapping_cell.hardware.tapper_protocol import LONGEST_PULSE
 from tapping_cell.hardware.tapper_protocol import State as BoardState
 from tapping_cell.logic import arm as arms
-from tapping_cell.logic import permit
+from tapping_cell.logic import permit, standing_still
 from tapping_cell.logic import tapper as tappers
 from tapping_cell.logic.arm_jobs import MotionEnd, Reading
 from tapping_cell.logic.clock import Now, to_stamp
@@ -459,7 +459,7 @@ def test_the_arm_waits_for_a_charged_striker_until_the_board_is_at_rest(way: str
         outcome=TapperState.UNKNOWN if way == "not known" else TapperState.NOT_FIRED,
     )
     pair.arm.on_message("tapper_state", end, at(now))
-    waits = 0.0 if way == "discharged" else arms.DISCHARGED_S
+    waits = 0.0 if way == "discharged" else standing_still.DISCHARGED_S
     assert leaves_at(pair, now) == pytest.approx(now + waits, abs=0.03)
 
 

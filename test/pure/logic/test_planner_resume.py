@@ -16,8 +16,9 @@ from tapping_cell.logic.clock import Now
 from tapping_cell.logic.effects import Answer, Content, Effect, KeepGoal, Log, Publish
 from tapping_cell.logic.goal_handling import GoalHandling
 from tapping_cell.logic.host import Activated, Configured, Deactivated, UnansweredRequest
-from tapping_cell.logic.planner import PlannerLogic, State
+from tapping_cell.logic.planner import PlannerLogic
 from tapping_cell.logic.planner_settings import PlannerSettings
+from tapping_cell.logic.planner_states import State
 from tapping_cell.messages import (
     ArmState,
     Bool,

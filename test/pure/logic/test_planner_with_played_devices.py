@@ -463,6 +463,29 @@ def test_a_goal_waits_for_an_arm_that_is_not_homed_yet(actors: Actors) -> None:
 
 
 @pytest.mark.parametrize(
+    ("change", "code", "words"),
+    [
+        ({"arm_state": ArmState.NOT_HOMED}, ErrorCode.ARM_BUSY, "the arm is busy"),
+        ({"camera_active": False}, ErrorCode.CAMERA_SILENT, "camera_pose"),
+        ({"tapper_state": TapperState.CHARGED}, ErrorCode.TAPPER_BUSY, "the tapper is busy"),
+    ],
+)
+def test_the_planner_reports_what_it_waits_for(actors, change, code, words) -> None:
+    for name, value in change.items():
+        setattr(actors, name, value)
+    actors.run(2.5)  # a camera that has sent a message counts as silent after the message timeout
+    actors.send()
+    actors.run(0.6)
+    waiting = actors.plans[-1]
+    assert (waiting.state, waiting.error_code) == (PlanState.WAITING_FOR_CELL, code)
+    assert words in waiting.error_msg
+    actors.camera_active = True
+    actors.arm_state, actors.tapper_state = ArmState.IDLE, TapperState.SAFE
+    assert actors.end().state == PlanState.REACHED
+    assert not any(plan.error_code for plan in actors.plans if plan.state == PlanState.LOOKING)
+
+
+@pytest.mark.parametrize(
     ("phase", "reported", "outcomes"),
     [
         # In these phases the tapper may be about to fire, or its report may be under way.

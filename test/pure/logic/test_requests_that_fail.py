@@ -12,7 +12,8 @@ from tapping_cell.logic.arm import ArmLogic, ArmOptions
 from tapping_cell.logic.clock import Now
 from tapping_cell.logic.effects import Answer
 from tapping_cell.logic.host import Activated, Deactivated, UnansweredRequest
-from tapping_cell.logic.planner import PlannerLogic, State
+from tapping_cell.logic.planner import PlannerLogic
+from tapping_cell.logic.planner_states import Placing
 from tapping_cell.logic.poses import to_message
 from tapping_cell.logic.tapper import TapperLogic, TapperOptions
 from tapping_cell.messages import (
@@ -165,11 +166,21 @@ def test_a_request_that_raises_is_answered_and_the_present_goal_ends_with_its_re
 
 def test_a_defect_at_the_start_of_a_goal_answers_both_clients(monkeypatch):
     clients = Clients()
-    monkeypatch.setattr(clients.process.logic, "_keep_goal", fail)
+    monkeypatch.setattr(clients.process.logic._resumption, "keep", fail)
     second = clients.send_action("position_object", PositionObject.Goal(goal_pose=placed(OTHER)), 2)
     assert [one.error_code for one in clients.first] == [ErrorCode.GOAL_REPLACED]
     assert [one.error_code for one in second] == [ErrorCode.INTERNAL]
     assert clients.process.disk.goal is None, "neither goal is resumed after a crash"
+
+
+METHODS = {
+    "withdraw": lambda logic: logic._sender,
+    "park": lambda logic: logic._sender,
+    "report": lambda logic: logic._reports,
+    "keep": lambda logic: logic._resumption,
+    "_go": lambda logic: logic,
+}
+"""The object that has a method, by the method's name."""
 
 
 def fail_at_cancellation(
@@ -177,21 +188,21 @@ def fail_at_cancellation(
 ) -> list[str]:
     """Cancel the first goal, and let this method of the planner raise once meanwhile. Return the
     name of the method as soon as it has raised."""
-    logic = clients.process.logic
-    shipped, raised = getattr(logic, fails), []
+    part = METHODS[fails](clients.process.logic)
+    shipped, raised = getattr(part, fails), []
 
     def fail_once(*arguments: Any) -> Any:
-        if not raised and (logic.state is State.CANCELED or fails == "_publish_withdrawal"):
+        if not raised:
             raised.append(fails)
             raise ZeroDivisionError("defect")
         return shipped(*arguments)
 
-    monkeypatch.setattr(logic, fails, fail_once)
+    monkeypatch.setattr(part, fails, fail_once)
     clients.process.request("cancel", None, 1, lambda _: None, waits=False)
     return raised
 
 
-@pytest.mark.parametrize("fails", ["_publish_withdrawal", "_report", "_park"])
+@pytest.mark.parametrize("fails", ["withdraw", "report", "park"])
 def test_a_tap_is_withdrawn_if_the_cancellation_of_its_goal_raises(monkeypatch, fails):
     clients = Clients()
     (tap,) = clients.taps()
@@ -211,28 +222,29 @@ def test_a_goal_ends_as_usual_if_its_gains_cannot_be_learnt(monkeypatch):
     assert clients.plans[-1].state == PlanState.REACHED
 
 
-@pytest.mark.parametrize("fails", ["_keep_goal", "_enter"])
+@pytest.mark.parametrize("fails", ["keep", "_go"])
 def test_a_tap_whose_command_was_not_published_does_not_count(monkeypatch, fails):
     """The internal error occurs before or after the command was prepared."""
     clients = Clients()
-    logic = clients.process.logic
-    shipped = getattr(logic, fails)
+    part = METHODS[fails](clients.process.logic)
+    shipped = getattr(part, fails)
 
     def fail_for_a_tap(*arguments: Any) -> Any:
-        shipped(*arguments)
-        if logic._shot is not None:
+        made = shipped(*arguments)
+        if arguments[1] is True if fails == "keep" else isinstance(arguments[0].record, Placing):
             raise ZeroDivisionError("defect")
+        return made
 
     clients.check_first_goal_is_reached()
     before = len(clients.taps())
-    monkeypatch.setattr(logic, fails, fail_for_a_tap)
+    monkeypatch.setattr(part, fails, fail_for_a_tap)
     second = clients.send_action("position_object", PositionObject.Goal(goal_pose=placed(OTHER)), 2)
     clients.wait(lambda: second, "the client's result")
     assert (second[0].error_code, second[0].taps) == (ErrorCode.INTERNAL, 0)
     assert len(clients.taps()) == before
 
 
-@pytest.mark.parametrize("fails", ["_report", "_park"])
+@pytest.mark.parametrize("fails", ["report", "park"])
 def test_the_last_tap_counts_once_if_the_end_of_its_goal_raises(monkeypatch, fails):
     clients = Clients()
     assert clients.taps()

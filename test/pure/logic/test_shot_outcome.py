@@ -150,7 +150,7 @@ def test_a_shot_whose_end_meets_a_program_error_gets_its_true_outcome(end, outco
     assert state.error_code == ErrorCode.INTERNAL
 
 
-@pytest.mark.parametrize("fails", ["_begin_shot", "_drain"])
+@pytest.mark.parametrize("fails", ["_begin", "_drain"])
 def test_a_tap_whose_shot_was_not_begun_because_of_a_program_error_was_not_fired(
     monkeypatch: pytest.MonkeyPatch, fails: str
 ) -> None:

@@ -8,7 +8,7 @@ from types import ModuleType
 
 import pytest
 
-from tapping_cell.logic import arm, tapper
+from tapping_cell.logic import arm_states, tapper_states
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -25,7 +25,9 @@ def test_the_page_matches_the_transition_tables() -> None:
 
 
 @pytest.mark.parametrize(
-    ("machine", "rest"), [(arm, arm.State.IDLE), (tapper, tapper.State.SAFE)], ids=["arm", "tapper"]
+    ("machine", "rest"),
+    [(arm_states, arm_states.State.IDLE), (tapper_states, tapper_states.State.SAFE)],
+    ids=["arm", "tapper"],
 )
 def test_every_state_leads_back_to_the_rest_state(machine: ModuleType, rest: Enum) -> None:
     """From each state, a sequence of transitions leads back to the resting state."""
@@ -42,7 +44,7 @@ def test_every_state_leads_back_to_the_rest_state(machine: ModuleType, rest: Enu
     assert leads == set(machine.State)
 
 
-@pytest.mark.parametrize("machine", [arm, tapper], ids=["arm", "tapper"])
+@pytest.mark.parametrize("machine", [arm_states, tapper_states], ids=["arm", "tapper"])
 def test_every_state_can_be_stopped(machine: ModuleType) -> None:
     for state in machine.State:
         assert machine.TABLE[state, machine.Event.STOP] == {machine.State.STOPPED}

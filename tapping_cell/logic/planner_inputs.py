@@ -1,0 +1,74 @@
+"""What the planner knows of the cell from the messages of camera, arm and tapper."""
+
+from __future__ import annotations
+
+import math
+
+from tapping_cell.logic.arm_in_view import may_hide
+from tapping_cell.logic.cell_monitor import CellMonitor, CodedError
+from tapping_cell.logic.clock import Now
+from tapping_cell.logic.effects import Message
+from tapping_cell.logic.goal_handling import GoalHandling
+from tapping_cell.se2 import Pose
+
+
+class PlannerInputs:
+    """Passes each message on to the monitor and to the other objects on the table. Notes which
+    objects the arm may hide from the camera."""
+
+    def __init__(self, silence_limit: float) -> None:
+        self.monitor = CellMonitor(silence_limit)
+        self._goals: GoalHandling | None = None
+        self._lens: tuple[float, float, float] | None = None
+        """Position of the camera's lens in ``table``, m."""
+
+    def configure(self, goals: GoalHandling) -> None:
+        """Use the cell of this goal handling."""
+        self._goals = goals
+        self.monitor.expect(goals.cell.file.arm is not None, goals.cell.object.name)
+
+    def receive(self, topic: str, message: Message, now: Now) -> CodedError | None:
+        """Process a message. Return the error of a stop since the device's last message, or
+        None."""
+        if topic == "arm_state":
+            return self.monitor.on_arm(message, now)
+        if topic == "tapper_state":
+            return self.monitor.on_tapper(message, now)
+        if topic == "object_state":
+            self.monitor.on_object(message, now)
+        elif topic == "object_states":
+            self.monitor.on_objects(message, now)
+            self._note_unknown_and_covered(message, now)
+        elif topic == "other_objects" and self._goals is not None:
+            others, name = self._goals.other_objects, message.object_id
+            covered = not message.visible and self._may_be_covered(name, others.place(name))
+            others.on_object(message, self.monitor.camera_clock, now, covered)
+        elif topic == "camera/pose":
+            place = message.pose.position
+            self._lens = (place.x, place.y, place.z)
+        return None
+
+    def _note_unknown_and_covered(self, message: Message, now: Now) -> None:
+        if self._goals is None:
+            return
+        self._goals.other_objects.on_objects(message, self.monitor.camera_clock, now)
+        for state in message.objects:
+            name = state.object_id
+            if not state.visible and self._may_be_covered(name, self.monitor.place(name)):
+                self.monitor.note_covered(name, now)
+
+    def _may_be_covered(self, name: str, pose: Pose | None) -> bool:
+        """Return whether the arm may hide an object of the cell that was last seen at a pose."""
+        tip, lens, goals = self.monitor.tip, self._lens, self._goals
+        if goals is None or not self.monitor.has_arm:
+            return False
+        if pose is None or tip is None or lens is None:
+            return False
+        if not all(map(math.isfinite, (*tip, *lens, *pose))):
+            return False
+        files = (goals.cell.object, *goals.other_objects.files)
+        found = next((one for one in files if one.name == name), None)
+        if found is None:
+            return False
+        place = (pose.x, pose.y, found.height)
+        return may_hide(goals.cell, lens, tip, place, found.shape.reach())

@@ -1,0 +1,179 @@
+"""From a decision to the command of a tap, with a person's confirmation between them if wanted."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from tapping_cell.logic import tap_counts
+from tapping_cell.logic.arrangement import ArrangementTask
+from tapping_cell.logic.clock import NANOSECONDS, Now
+from tapping_cell.logic.effects import Log, LogLevel
+from tapping_cell.logic.goal_validation import REFUSALS
+from tapping_cell.logic.planner_states import (
+    Confirming,
+    End,
+    Event,
+    Firing,
+    Go,
+    Looking,
+    Placing,
+    Planning,
+    Record,
+    State,
+    Steps,
+    failed,
+)
+from tapping_cell.logic.tap_counts import LATE
+from tapping_cell.logic.tap_steps import Cell, wait_again
+from tapping_cell.logic.task import Shot, SingleTapTask, Task
+from tapping_cell.messages import ConfirmTap, ErrorCode, ObjectState
+from tapping_cell.planning import Decision, Done, ObserveAgain, Refusal, RefusalReason, Strike
+from tapping_cell.se2 import Pose
+
+
+def act(
+    at: Looking | Planning, decision: Decision, seen: ObjectState, cell: Cell, now: Now
+) -> Steps:
+    """Carry out a decision that is based on the observation ``seen``."""
+    task = at.task
+    if isinstance(task, ArrangementTask):
+        yield from _turn_to_object(task, cell)
+    if isinstance(decision, Refusal):
+        # If the tap is refused only because the object's pose is too uncertain, continue the
+        # observation, because every further image reduces the uncertainty.
+        is_coarse = decision.reason is RefusalReason.CAMERA_TOO_COARSE
+        if not is_coarse or at.is_late(now.steady):
+            yield failed(REFUSALS[decision.reason], decision.sentence)
+            return
+    if isinstance(decision, ObserveAgain | Refusal):
+        if isinstance(at, Planning):  # fuse more images
+            yield Go(Event.OBSERVATION_REQUESTED, at.look)
+        return
+    look = at.look if isinstance(at, Planning) else at
+    if isinstance(at, Looking):
+        at = Planning(task=task, look=look)
+        yield Go(Event.OBSERVED, at)
+    if isinstance(decision, Done):
+        yield End(State.IDLE if isinstance(task, SingleTapTask) else State.REACHED)
+        return
+    error = tap_counts.exhausted(task, cell.settings, cell.monitor.pose_of(task.watched))
+    if error is not None:
+        yield failed(*error)
+    elif cell.monitor.missing(now) is not None:
+        yield from wait_again(at, cell, now)
+    else:
+        yield from _plan(look, decision, task.before(seen), cell, now)
+
+
+def _turn_to_object(task: ArrangementTask, cell: Cell) -> Steps:
+    """Watch the present object of the arrangement; warn about other objects that taps have
+    moved."""
+    cell.monitor.watch(task.object_id)
+    names, task.touched = task.touched, []
+    if names:
+        yield Log(
+            LogLevel.WARNING,
+            f"{', '.join(map(repr, names))} moved although another object was tapped; "
+            "the next move is planned again",
+        )
+
+
+def _plan(look: Looking, strike: Strike, before: Pose, cell: Cell, now: Now) -> Steps:
+    """Command or propose one tap."""
+    task = look.task
+    covariance = task.session.predicted_covariance(strike, before)
+    shot = Shot(
+        cell.sender.next_id(now),
+        task.object_id,
+        task.taps + 1,
+        strike,
+        before,
+        covariance,
+        purpose=task.purpose,
+    )
+    if strike.detour:
+        yield Log(LogLevel.INFO, f"tap {shot.number}: {strike.detour}")
+    is_confirmed = not cell.confirmations.asks(task)
+    if not is_confirmed:
+        is_confirmed, sentence = cell.confirmations.holds(shot, now.steady)
+        if sentence:
+            yield Log(LogLevel.INFO, sentence)
+    if is_confirmed:
+        yield from command(task, shot, cell, now)
+        return
+    patience = cell.settings.confirm_deadline
+    yield Log(LogLevel.INFO, f"tap {shot.number} waits for confirmation (id {shot.tap_id})")
+    yield Go(
+        Event.TAP_PROPOSED,
+        Confirming(
+            task=task,
+            deadline=now.steady + patience,
+            look=look,
+            proposed=shot,
+            answer_by=now.ros + round(patience * NANOSECONDS),
+        ),
+    )
+
+
+def not_awaited(tap_id: int, at: Record) -> ConfirmTap.Response:
+    """Return the response to an answer for a tap that is not proposed now."""
+    waiting = "no tap is waiting"
+    if isinstance(at, Confirming):
+        waiting = f"answer for tap {at.proposed.tap_id} instead"
+    return ConfirmTap.Response(
+        error_code=ErrorCode.TAP_NOT_AWAITED,
+        error_msg=f"tap {tap_id} is not waiting for confirmation; {waiting}",
+    )
+
+
+def answered(
+    at: Confirming, is_confirmed: bool, cell: Cell, now: Now
+) -> tuple[ConfirmTap.Response, Steps]:
+    """Return the response to a person's answer, and what follows from the answer."""
+    shot, task, monitor = at.proposed, at.task, cell.monitor
+    cell.confirmations.forget()
+    accepted = ConfirmTap.Response(accepted=True)
+    if not is_confirmed and isinstance(task, SingleTapTask):
+        rejected = failed(ErrorCode.TAP_NOT_CONFIRMED, "a person rejected the single tap")
+        return accepted, iter((rejected,))
+    if not is_confirmed:
+        task.skip(shot.strike)
+        return accepted, drop_proposal(at, "it was skipped", cell, now)
+    missing, needed = monitor.missing(now), cell.settings.frames_needed
+    if missing is not None:
+        steps = wait_again(at, cell, now)
+    elif not task.observed(monitor, at.look.since, needed, now):
+        missing = monitor.blind(None, needed, now)
+        why = "the object has not been observed at rest in enough images"
+        steps = drop_proposal(at, why, cell, now)
+    else:
+        cell.confirmations.confirm(shot, now.steady)
+        return accepted, command(task, shot, cell, now)
+    code, sentence = missing
+    if code in LATE:
+        cell.confirmations.confirm(shot, now.steady)
+        return accepted, steps
+    again = f"tap {shot.number} is planned again: {sentence}"
+    return ConfirmTap.Response(error_code=code, error_msg=again), steps
+
+
+def drop_proposal(at: Confirming, why: str, cell: Cell, now: Now) -> Steps:
+    """Drop the proposed tap, observe the object again and plan another tap."""
+    shot = at.proposed
+    yield Log(LogLevel.INFO, f"tap {shot.number} (id {shot.tap_id}) is planned again: {why}")
+    deadline = now.steady + cell.settings.observe_deadline
+    yield Go(Event.TAP_DROPPED, replace(at.look, since=now.steady, deadline=deadline))
+
+
+def command(task: Task, shot: Shot, cell: Cell, now: Now) -> Steps:
+    """Command one tap."""
+    settings = cell.settings
+    yield from cell.resumption.keep(task, True, now)  # first, so that no crash loses the tap
+    allowance = settings.place_deadline + settings.fire_deadline
+    yield cell.sender.tap(shot, allowance, cell.goals.cell.strike_height, now)
+    if cell.monitor.has_arm:
+        deadline = now.steady + settings.place_deadline
+        yield Go(Event.TAP_COMMANDED, Placing(task=task, deadline=deadline, shot=shot))
+    else:
+        deadline = now.steady + settings.fire_deadline
+        yield Go(Event.TAP_COMMANDED, Firing(task=task, deadline=deadline, shot=shot))
