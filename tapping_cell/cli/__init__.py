@@ -55,10 +55,11 @@ VERBS = {
 }
 
 GROUPS = {
-    "try the cell": ("demo", "up"),
+    "try the cell": ["demo", "up"],
     "operate a cell": ["goal", "arrange", "status", "watch", "home", "stop", "clear", "report"],
     "set up a cell": ["commission", "calibrate", "check-config", "doctor", "urdf"],
     "describe an object": ["new-object", "learn-object", "single-tap", "fit", "locate"],
+    "keep a cell running": ["deploy", "undeploy", "backup", "restore", "bundle"],
     "plan and evaluate": ["evaluate", "sensitivity", "paper"],
     "develop": ["conformance", "completion"],
 }
@@ -135,7 +136,7 @@ def _parser_of(argv: list[str]) -> tuple[argparse.ArgumentParser, Execute]:
         prog="python -m tapping_cell",
         description="A robot cell that positions flat objects by tapping them.",
         usage="%(prog)s VERB ...",
-        epilog="\n".join(_help_of(title, names) for title, names in groups().items())
+        epilog="\n".join(_help_of(title, names) for title, names in GROUPS.items())
         + "\nVERB --help shows the options of a verb, and an example.",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -147,14 +148,6 @@ def _parser_of(argv: list[str]) -> tuple[argparse.ArgumentParser, Execute]:
     if not verb:
         parser.error(f"no verb was given; choose from {', '.join(VERBS)}")
     parser.error(f"there is no verb '{verb}'{suggestion(verb, VERBS)}")
-
-
-def groups() -> dict[str, list[str]]:
-    """Return the verbs by group. A verb that is in no group comes last."""
-    grouped = {title: list(names) for title, names in GROUPS.items()}
-    known = {name for names in grouped.values() for name in names}
-    others = [name for name in VERBS if name not in known]
-    return {**grouped, **({"other": others} if others else {})}
 
 
 def _help_of(title: str, names: Sequence[str]) -> str:
