@@ -840,7 +840,7 @@ class PlannerLogic:
     def _take_in(self, task: Task, shot: Shot, seen: ObjectState) -> None:
         """Record and learn from a tap that was fired or may have been fired."""
         self._confirmed = None
-        task.take_in(shot, seen)
+        task.take_in(shot, seen, self._monitor.track(seen))
         warning = task.session.edge_warning(from_message(seen.pose.pose))
         if warning:
             self._log(LogLevel.WARNING, warning)
