@@ -20,6 +20,10 @@ LONGEST_S = 3.0
 """Longest slide, s."""
 
 
+INSTANT_S = 1.5e-4
+"""Standard deviation of the time to which an image of a moving object corresponds, s."""
+
+
 class SlideRecord:
     """Keeps the last observations of one object and returns the poses of its last slide."""
 
@@ -54,5 +58,11 @@ class SlideRecord:
             np.array([from_message(state.pose.pose) for state in taken]),
             np.array([(one.position, one.angle) for one in noise]),
         )
+        if len(taken) > 1:
+            # The stated covariance of the first images of a motion lacks the error of their time.
+            speed = np.abs(np.gradient(track.poses, track.time, axis=0))
+            speed[[state.at_rest for state in taken]] = 0.0
+            pace = np.stack([np.hypot(speed[:, 0], speed[:, 1]), speed[:, 2]], axis=-1)
+            track = track._replace(deviations=np.hypot(track.deviations, INSTANT_S * pace))
         known = np.all(np.isfinite(track.poses), axis=1) & np.all(track.deviations > 0.0, axis=1)
         return Track(*(part[known] for part in track)) if math.isfinite(ended) else None
