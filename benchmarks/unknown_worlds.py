@@ -106,8 +106,11 @@ def drawn_world(spread: tuple[float, float], rng: np.random.Generator) -> TruthF
     )
 
 
-def run_world(truth: TruthFile, goals: int, seed: int, probe: bool = False) -> Results:
-    """Run goals in one world. Before each goal, the planner forgets what it has learnt."""
+def run_world(
+    truth: TruthFile, goals: int, seed: int, probe: bool = False, track: float = 0.0
+) -> Results:
+    """Run goals in one world. Before each goal, the planner forgets what it has learnt. ``track``:
+    images per second of a camera that follows the slides; 0 for none."""
     cell = load_cell()
     tap = make_tap(cell)
     settings = PlannerSettings.for_tap(tap, CAMERA)
@@ -121,6 +124,7 @@ def run_world(truth: TruthFile, goals: int, seed: int, probe: bool = False) -> R
         ),
         adapt=True,
         probe=probe,
+        track=track,
         most_taps=30,
         space=_space,
     )

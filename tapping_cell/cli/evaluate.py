@@ -72,6 +72,7 @@ from tapping_cell.planning.evaluation import (
     summarise,
 )
 from tapping_cell.planning.evaluation.summary import mean_of
+from tapping_cell.planning.evaluation.task import TRUTH
 from tapping_cell.planning.evaluation.worlds import World
 from tapping_cell.planning.multi import MultiPlanner
 from tapping_cell.planning.registry import load_planner
@@ -136,13 +137,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--unknown",
-        type=float,
-        nargs=2,
-        default=(1.0, 1.0),
-        metavar=("D", "R"),
-        help="limits D and R of the factors by which the true distance and the true rotation per "
-        "distance differ from the assumed ones. Each trial draws its factors from 1/D to D and "
-        "from 1/R to R (default: 1 1)",
+        nargs="+",
+        default=[],
+        metavar="NAME=FACTOR",
+        help="largest factors, in either direction, by which true values differ from the assumed "
+        "ones; each trial draws its own. Names: friction, torque_factor and rotation (rotation "
+        "per distance). Two numbers D R mean friction=D rotation=R (default: none)",
+    )
+    parser.add_argument(
+        "--track",
+        default="off",
+        metavar="HZ",
+        help="images per second of a camera that follows the slide, from which the planner learns "
+        "friction and torque factor apart from the scatter of the impact. off: poses at rest only. "
+        "truth: the true values are known after the first tap, which no camera exceeds (only with "
+        "--model abstract; default: off)",
     )
     parser.add_argument(
         "--off-centre",
@@ -417,6 +426,7 @@ def make_evaluation(arguments: argparse.Namespace, planner: str) -> Evaluation:
     if tasks == []:
         tasks = LARGE_TASKS if arguments.table else DEFAULT_TASKS
     x, y, theta = arguments.goal
+    unknown = _unknown(arguments.unknown)
     return Evaluation(
         planner=planner,
         settings=settings,
@@ -425,7 +435,9 @@ def make_evaluation(arguments: argparse.Namespace, planner: str) -> Evaluation:
         random_tasks=None if tasks is None else si_pair(tasks),
         world=world,
         gain_bias=(arguments.gain_bias[0] / 100.0, arguments.gain_bias[1] / 100.0),
-        unknown=(arguments.unknown[0], arguments.unknown[1]),
+        unknown=(unknown["friction"], unknown["rotation"]),
+        torque_factor=unknown["torque_factor"],
+        track=_track(arguments),
         off_centre=1e3 * math.radians(arguments.off_centre),
         adapt=arguments.adapt,
         probe=arguments.probe,
@@ -436,6 +448,41 @@ def make_evaluation(arguments: argparse.Namespace, planner: str) -> Evaluation:
         clock=clock,
         mean_tap=math.nan if times is None else times.mean_tap,
     )
+
+
+def _unknown(words: list[str]) -> dict[str, float]:
+    """Return the factors of --unknown by name. Raises PlanningError for anything else."""
+    factors = {"friction": 1.0, "rotation": 1.0, "torque_factor": 1.0}
+    if len(words) == 2 and not any("=" in word for word in words):
+        words = [f"friction={words[0]}", f"rotation={words[1]}"]
+    for word in words:
+        name, _, factor = word.partition("=")
+        try:
+            value = float(factor)
+        except ValueError:
+            value = math.nan
+        if name not in factors or not math.isfinite(value):
+            raise PlanningError(
+                f"--unknown {word}: give NAME=FACTOR with one of {', '.join(factors)}, such as "
+                "friction=2"
+            )
+        factors[name] = value
+    return factors
+
+
+def _track(arguments: argparse.Namespace) -> float:
+    """Return the rate of --track in Hz. Raises PlanningError for an invalid one."""
+    words = {"off": 0.0, "truth": TRUTH}
+    try:
+        rate = words.get(arguments.track)
+        rate = float(arguments.track) if rate is None else rate
+    except ValueError:
+        raise PlanningError(
+            f"--track is {arguments.track}; give images per second, off or truth"
+        ) from None
+    if rate and (arguments.model != "abstract" or arguments.table):
+        raise PlanningError("--track needs --model abstract, without --table")
+    return rate
 
 
 def measure(arguments: argparse.Namespace, evaluation: Evaluation) -> dict[str, Any]:

@@ -82,7 +82,8 @@ def run_fixed(arguments: argparse.Namespace, cell: Cell) -> int:
         "--report": arguments.report is not None,
         "--box": arguments.box is not None,
         "--gain-bias": tuple(arguments.gain_bias) != (0.0, 0.0),
-        "--unknown": tuple(arguments.unknown) != (1.0, 1.0),
+        "--unknown": arguments.unknown != [],
+        "--track": arguments.track != "off",
         "--off-centre": arguments.off_centre != 0.0,
     }
     given = [name for name, is_set in without_meaning.items() if is_set]

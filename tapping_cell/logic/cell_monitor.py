@@ -12,6 +12,7 @@ from tapping_cell.logic.clock import Now, to_nanoseconds
 from tapping_cell.logic.device import LONGEST_TIMEOUT_S
 from tapping_cell.logic.peer_clock import SKEW_LIMIT_S, PeerClock, skewed_clock
 from tapping_cell.logic.poses import covariance_from_message, from_message
+from tapping_cell.logic.slide_record import SlideRecord
 from tapping_cell.messages import (
     ArmState,
     ErrorCode,
@@ -21,6 +22,7 @@ from tapping_cell.messages import (
 )
 from tapping_cell.planning import PlanningError
 from tapping_cell.planning.session import noise_of
+from tapping_cell.planning.track import Track
 from tapping_cell.se2 import Pose
 
 CodedError = tuple[int, str]
@@ -69,6 +71,7 @@ class CellMonitor:
         message about an object that was never seen."""
         self._places: dict[str, Pose] = {}
         """Pose at which each object of ``object_states`` was last seen."""
+        self._slides: dict[str, SlideRecord] = {}
         self._covered_at: dict[str, float] = {}
         """Last time at which the arm may have hidden each object, s of the steady clock."""
         self._stops: dict[str, set[int]] = {}
@@ -133,7 +136,14 @@ class CellMonitor:
         """Store that the arm may hide an object of ``object_states`` now."""
         self._covered_at[name] = now.steady
 
+    def track(self, rest: ObjectState) -> Track | None:
+        """Return the track of the last slide of the watched object, which is observed at rest in
+        ``rest``; None if the slide was not seen."""
+        record = self._slides.get(self._watched)
+        return None if record is None else record.last_slide(rest)
+
     def _note_seen(self, name: str, state: ObjectState, now: Now) -> None:
+        self._slides.setdefault(name, SlideRecord()).add(state)
         if state.visible and not state.error_code:
             seen = min(self.camera_clock.to_steady(state.header.stamp, now), now.steady)
             self._seen_at[name] = max(self._seen_at.get(name, -math.inf), seen)

@@ -126,7 +126,7 @@ def _move_arm_aside(at: Looking, cell: Cell, now: Now) -> Steps:
 def take_in(task: Task, shot: Shot, seen: ObjectState, cell: Cell) -> Steps:
     """Record and learn from a tap that was fired or may have been fired."""
     cell.confirmations.forget()
-    task.take_in(shot, seen)
+    task.take_in(shot, seen, cell.monitor.track(seen))
     warning = task.session.edge_warning(from_message(seen.pose.pose))
     if warning:
         yield Log(LogLevel.WARNING, warning)

@@ -40,6 +40,7 @@ from tapping_cell.planning import (
 )
 from tapping_cell.planning.session import GoalSession
 from tapping_cell.planning.stopping import LONG_OBSERVATION
+from tapping_cell.planning.track import Track
 from tapping_cell.se2 import Pose
 from tapping_cell.vision import ReferenceMap
 
@@ -254,8 +255,11 @@ class Task:
             observe_again=seen.frames_fused < LONG_OBSERVATION * frames,
         )
 
-    def take_in(self, shot: Shot, seen: ObjectState) -> None:
-        """Process a tap that was fired or may have been fired: learn from the tap and record it."""
+    def take_in(self, shot: Shot, seen: ObjectState, track: Track | None = None) -> None:
+        """Process a tap that was fired or may have been fired: learn from the tap and record it.
+        ``track``: poses during the slide; None if they were not seen."""
+        if isinstance(self.session, GoalSession):
+            self.session.track = track
         pose = from_message(seen.pose.pose)
         covariance = covariance_from_message(seen.pose.covariance)
         self.learn(shot, pose, covariance)

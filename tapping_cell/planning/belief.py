@@ -83,19 +83,25 @@ class Belief:
         self.mean[rows] = other.mean
         self.covariance[rows] = other.covariance
 
-    def expected(self) -> Array:
-        """Return the expected numbers (..., numbers), over all filters except the candidate."""
-        main = self.weight[..., :-1]
-        share = main / main.sum(axis=-1, keepdims=True)
-        return np.asarray(np.einsum("...h,...hi->...i", share, self.mean[..., :-1, :]))
+    def expected(self, combine: Array | None = None) -> Array:
+        """Return the expected numbers (..., numbers), over all filters except the candidate.
 
-    def deviation(self) -> Array:
-        """Return the standard deviations (..., numbers) about ``expected``, over all filters except
-        the candidate."""
+        combine: (sums, numbers); if given, the expected sums (..., sums) of the numbers with these
+        weights are returned instead.
+        """
         main = self.weight[..., :-1]
         share = main / main.sum(axis=-1, keepdims=True)
-        off = self.mean[..., :-1, :] - self.expected()[..., None, :]
-        own = np.diagonal(self.covariance[..., :-1, :, :], axis1=-2, axis2=-1)
+        expected = np.einsum("...h,...hi->...i", share, self.mean[..., :-1, :])
+        return np.asarray(expected if combine is None else expected @ combine.T)
+
+    def deviation(self, combine: Array | None = None) -> Array:
+        """Return the standard deviations about ``expected``, over all filters except the candidate.
+        ``combine``: as for ``expected``."""
+        main = self.weight[..., :-1]
+        share = main / main.sum(axis=-1, keepdims=True)
+        matrix = np.eye(self.mean.shape[-1]) if combine is None else combine
+        off = self.mean[..., :-1, :] @ matrix.T - self.expected(matrix)[..., None, :]
+        own = np.einsum("...ij,ki,kj->...k", self.covariance[..., :-1, :, :], matrix, matrix)
         return np.asarray(np.sqrt(np.einsum("...h,...hi->...i", share, own + off * off)))
 
     def quantile(self, slope: ArrayLike, probability: float, noise: ArrayLike = 0.0) -> Array:

@@ -6,6 +6,10 @@ A tap commanded as (d, turn, direction) and measured as (d', turn', direction') 
     turn' / d'             = G turn / d + o x u     G: gain of the rotation per distance
     direction' - direction = e + f turn / d         e, f: constant direction error, and its growth
 
+a, G and o are sums of a part of the impact and a part of the slide. Only a track of the slide tells
+them apart: the model's slide for the measured launch, ``Slid``, differs from the real one only by
+the part of the slide, without the scatter of the impact. Without a track, only the sums matter.
+
 The unknowns of each equation are estimated separately. u is the direction of travel in the object's
 frame. o is an offset with two components, for an object whose centre of mass or of friction is not
 at its middle: the rotation per distance (rad/m) that a tap through the middle causes. An error of
@@ -42,26 +46,33 @@ HIGHEST = np.array([10.0, 10.0, 0.5, 0.05, 20.0, 20.0])
 
 DISTANCE = Prior(
     weight=np.array([0.75, 0.25]),
-    mean=np.zeros((2, 1)),
-    deviation=np.array([[0.04], [0.60]]),
+    mean=np.zeros((2, 2)),
+    deviation=np.array([[0.0283, 0.0283], [0.10, 0.592]]),
     change=1,
     span=4.0,
 )
-"""Prior of ln(distance gain). A mixture of a narrow distribution (standard deviation 4 %), for an
-object that matches its file, and a wide one, for a friction that differs from the file by a factor
-of up to 4."""
+"""Prior of ln(distance gain) of impact and slide. A mixture of a narrow distribution (standard
+deviation of the sum 4 %), for an object that matches its file, and a wide one, for a friction that
+differs from the file by a factor of up to 4."""
 
 ROTATION = Prior(
     weight=np.array([0.60, 0.20, 0.12, 0.08]),
-    mean=np.array([[1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 0.0, 0.0]]),
+    mean=np.tile([0.0, 1.0, 0.0, 0.0, 0.0, 0.0], (4, 1)),
     deviation=np.array(
-        [[0.06, 0.03, 0.03], [0.70, 0.05, 0.05], [0.15, 1.5, 1.5], [0.70, 1.5, 1.5]]
+        [
+            [0.0424, 0.0424, 0.021, 0.021, 0.021, 0.021],
+            [0.10, 0.693, 0.035, 0.035, 0.035, 0.035],
+            [0.106, 0.106, 1.2, 1.2, 0.9, 0.9],
+            [0.10, 0.693, 1.2, 1.2, 0.9, 0.9],
+        ]
     ),
     change=3,
     span=20.0,
 )
-"""Prior of (G, o): a mixture of four distributions, for an object that matches its file, for one
-whose G differs by a factor of up to 3, for one with an offset, and for one with both deviations."""
+"""Prior of (G of the impact, G of the slide, o of the impact, o of the slide): a mixture of four
+distributions, for an object that matches its file, for one whose G differs by a factor of up to 3,
+for one with an offset, and for one with both deviations. The part of the impact has the mean 0, so
+that the sum is G."""
 
 DIRECTION = Prior(
     weight=np.array([0.85, 0.15]),
@@ -72,6 +83,25 @@ DIRECTION = Prior(
 )
 """Prior of (e, f): usually a standard deviation of 0.6 degrees, rarely errors of up to 20
 degrees."""
+
+DISTANCE_SUM = np.ones((1, 2))
+ROTATION_SUM = np.array(
+    [
+        [1.0, 1.0, 0.0, 0.0, 0.0, 0.0],
+        [0.0, 0.0, 1.0, 0.0, 1.0, 0.0],
+        [0.0, 0.0, 0.0, 1.0, 0.0, 1.0],
+    ]
+)
+"""Matrices from the numbers of the beliefs to a, and to (G, o_x, o_y)."""
+
+SLIDE_MODEL = (0.02, 0.03)
+"""Standard deviations of the slide model for a given launch, relative to distance and rotation per
+distance. They limit what one track tells."""
+
+OFFSET_IN_TRACK = 1.17
+"""Effect of an offset of the friction on the measurement of a track, relative to its effect on the
+rotation. The spin of such an object rises while it slides, and the track attributes a part of the
+rotation to the launch. An offset of the mass turns the object at the impact and has no effect."""
 
 MIN_SLOPE = 0.1
 """Standard deviation, rad/m, of the rotation per distance of a tap without commanded rotation. For
@@ -86,6 +116,19 @@ MIN_MOVE = 1e-6
 UNEXPLAINED = 0.5
 """A tap counts as an outlier if the probability that it is a valid measurement is below this
 value."""
+
+
+class Slid(NamedTuple):
+    """What the model predicts for the launch that was measured in a track, (...,); NaN if unknown.
+
+    distance: m. slope: rotation per distance, rad/m. distance_std, slope_std: standard deviations
+    relative to the value.
+    """
+
+    distance: Array
+    slope: Array
+    distance_std: Array
+    slope_std: Array
 
 
 _ONE_DEVIATION = (NormalDist().cdf(-1.0), NormalDist().cdf(1.0))
@@ -106,9 +149,10 @@ class Spread(NamedTuple):
 class Gains:
     """Learnt parameters of one object, or of several objects (leading axes).
 
-    distance: belief about (a,). rotation: belief about (G, o_x, o_y). direction: belief about
-    (e, f). taken, outliers: shape (...), number of taps that the model explains and number of
-    outliers. surprised: shape (...), whether the last tap was an outlier.
+    distance: belief about a of impact and slide. rotation: belief about G of impact and slide and
+    about o of impact and slide. direction: belief about (e, f). taken, outliers: shape (...),
+    number of taps that the model explains and number of outliers. surprised: shape (...), whether
+    the last tap was an outlier.
     """
 
     distance: Belief
@@ -152,16 +196,17 @@ class Gains:
     @property
     def value(self) -> Array:
         """Expected values of the parameters in ``NAMES``, (..., 6)."""
-        distance = np.exp(self.distance.expected())
-        rotation, direction = self.rotation.expected(), self.direction.expected()
+        distance = np.exp(self.distance.expected(DISTANCE_SUM))
+        rotation, direction = self.rotation.expected(ROTATION_SUM), self.direction.expected()
         numbers = np.concatenate([distance, rotation[..., :1], direction, rotation[..., 1:]], -1)
         return np.asarray(np.clip(numbers, LOWEST, HIGHEST))
 
     @property
     def deviation(self) -> Array:
         """Standard deviations of ``value``, (..., 6)."""
-        distance = np.exp(self.distance.expected()) * self.distance.deviation()
-        rotation, direction = self.rotation.deviation(), self.direction.deviation()
+        distance = np.exp(self.distance.expected(DISTANCE_SUM))
+        distance = distance * self.distance.deviation(DISTANCE_SUM)
+        rotation, direction = self.rotation.deviation(ROTATION_SUM), self.direction.deviation()
         return np.concatenate([distance, rotation[..., :1], direction, rotation[..., 1:]], axis=-1)
 
     def to_plan(self, remaining: ArrayLike, box: float) -> tuple[Array, Array, Array]:
@@ -216,6 +261,7 @@ class Gains:
         orientation: ArrayLike,
         scatter: Scatter,
         camera: CameraNoise,
+        slid: Slid | None = None,
     ) -> Gains:
         """Return the gains updated with one tap.
 
@@ -226,6 +272,7 @@ class Gains:
             scatter: scatter of a tap, one standard deviation.
             camera: standard deviation of one observation; a measured displacement is the
                 difference of two observations.
+            slid: prediction for the launch in the track of the slide; None without a track.
         """
         command, seen = np.asarray(commanded, dtype=float), np.asarray(measured, dtype=float)
         asked = np.hypot(command[..., 0], command[..., 1])
@@ -247,19 +294,17 @@ class Gains:
 
         distance, known = self.distance.observe(
             DISTANCE,
-            np.ones((*asked.shape, 1)),
+            np.ones((*asked.shape, 2)),
             np.log(least / size) + blank,
             zero,
             np.hypot(scatter.distance, aim),
         )
         # The direction and the rotation per distance of a very short slide cannot be measured.
         still = np.where(moved > 3.0 * place, blank, math.nan)
+        drift = np.stack(_directions(measured_heading - np.asarray(orientation, dtype=float)))
         rotation, turned = self.rotation.observe(
             ROTATION,
-            np.stack(
-                [slope, *_directions(measured_heading - np.asarray(orientation, dtype=float))],
-                axis=-1,
-            ),
+            np.stack([slope, slope, *drift, *drift], axis=-1),
             seen[..., 2] / least + still,
             zero + math.hypot(scatter.rotation, scatter.distance),
             np.hypot(MIN_SLOPE, angle / least),
@@ -271,6 +316,27 @@ class Gains:
             zero,
             np.hypot(scatter.direction, aim),
         )
+        if slid is not None:
+            # The scatter of the impact is independent of the errors of the track, so that the two
+            # measurements of a tap are independent.
+            slid = slid._replace(slope=slid.slope + still, distance=slid.distance + still)
+            told = Slid(*(np.nan_to_num(part, nan=1.0) for part in slid))
+            distance, _ = distance.observe(
+                DISTANCE,
+                np.broadcast_to([0.0, 1.0], (*asked.shape, 2)),
+                np.log(least / slid.distance),
+                zero,
+                np.sqrt(told.distance_std**2 + SLIDE_MODEL[0] ** 2 + aim**2),
+            )
+            turned_slope = seen[..., 2] / least
+            error = np.hypot(told.slope_std, SLIDE_MODEL[1]) * turned_slope
+            rotation, _ = rotation.observe(
+                ROTATION,
+                np.stack([zero, told.slope, zero, zero, *OFFSET_IN_TRACK * drift], axis=-1),
+                turned_slope + 0.0 * slid.slope,
+                zero,
+                np.hypot(error, angle / least),
+            )
         explained = usable & (known >= UNEXPLAINED)
         explained &= np.isnan(still) | ((turned >= UNEXPLAINED) & (aimed >= UNEXPLAINED))
         return Gains(
@@ -300,7 +366,7 @@ class Gains:
         # the same for all taps of an object and is computed only once.
         every = size if scatter.position_floor > 0.0 else np.ones(self.taken.shape)
         stretch = scatter.along(every) / every
-        longest = self.distance.quantile(np.ones((*every.shape, 1)), high, stretch)
+        longest = self.distance.quantile(np.ones((*every.shape, 2)), high, stretch)
         both = np.stack([one, slope], axis=-1)
         aim = scatter.across(size) / size
         aside = np.stack([self.direction.quantile(both, end, aim) for end in (low, high)], axis=-1)
@@ -311,7 +377,7 @@ class Gains:
     def largest_rotation_gain(self, probability: float) -> Array:
         """Return the upper bound (...,) of the true rotation gain that holds with
         ``probability``."""
-        return self.rotation.quantile(np.array([1.0, 0.0, 0.0]), probability)
+        return self.rotation.quantile(ROTATION_SUM[0], probability)
 
     def predicted_covariance(
         self, commanded: ArrayLike, orientation: float, scatter: Scatter
@@ -332,9 +398,9 @@ class Gains:
             return float(high - low) / 2
 
         travel = math.atan2(y, x) - orientation
-        stretch = half(self.distance, [1.0], float(scatter.along(size)) / size)
+        stretch = half(self.distance, [1.0, 1.0], float(scatter.along(size)) / size)
         aside = half(self.direction, [1.0, slope], float(scatter.across(size)) / size)
-        drift = [slope, *(float(part) for part in _directions(np.asarray(travel)))]
+        drift = [slope, slope, *2 * [float(part) for part in _directions(np.asarray(travel))]]
         twist = half(self.rotation, drift, float(scatter.turning(command[2])) / size)
         effects = np.array(
             [
@@ -382,8 +448,13 @@ class Gains:
                 )
             value[index], deviation[index] = kept, spread
         made = cls.start()
-        _replace_main(made.distance, [math.log(value[0])], [deviation[0] / value[0]])
-        _replace_main(made.rotation, value[[1, 4, 5]], deviation[[1, 4, 5]])
+        # Which part the impact has is not saved; half of the variance is attributed to it.
+        half = math.sqrt(0.5) * deviation[:2]
+        _replace_main(made.distance, [0.0, math.log(value[0])], [half[0] / value[0]] * 2)
+        offset, off = value[4:] / 2.0, math.sqrt(0.5) * deviation[4:]
+        _replace_main(
+            made.rotation, [0.0, value[1], *offset, *offset], [half[1], half[1], *off, *off]
+        )
         _replace_main(made.direction, value[[2, 3]], deviation[[2, 3]])
         return made
 

@@ -23,6 +23,7 @@ from tapping_cell.planning.settings import CameraNoise, PlannerSettings
 from tapping_cell.planning.stopping import LONG_OBSERVATION, StoppingBox, stopping_box
 from tapping_cell.planning.strike import BoolArray, StrikePlan, StrikeSpace
 from tapping_cell.planning.tap_times import TapTimes
+from tapping_cell.planning.track import Track, slid_of
 from tapping_cell.planning.visited import VisitedPoses
 from tapping_cell.se2 import Pose, difference, displaced, wrap_angle
 
@@ -135,6 +136,9 @@ class GoalSession(ABC):
 
     arm: ArrayLike | None = None
     """Pose of the arm's tip in `table`: x, y, height (m) and yaw (rad); None if unknown."""
+    track: Track | None = None
+    """Poses measured during the slide of the last tap, for the next ``observe``; None if the
+    slide was not seen. Only the sessions of an arm use it."""
     _goal_refusal: Refusal | None
 
     def __init__(
@@ -460,8 +464,12 @@ class PositioningSession(GoalSession):
             return
         noise = settings.camera if covariance is None else noise_of(covariance)
         orientation = float(np.asarray(pose_before, dtype=float)[2])
+        slid, track = None, self.track
+        self.track = None
+        if track is not None and np.all(np.isfinite(moved)):
+            slid = slid_of(track, pose_before, pose_after, self._space.tap.sliding)
         self.gains = self.gains.observe(
-            strike.commanded, moved, orientation, settings.scatter, noise
+            strike.commanded, moved, orientation, settings.scatter, noise, slid
         )
 
     def edge_warning(self, pose: ArrayLike) -> str:

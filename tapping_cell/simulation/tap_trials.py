@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,9 @@ from tapping_cell.simulation.truth import TruthFile
 from tapping_cell.simulation.world import World
 
 Array = NDArray[np.float64]
+
+PATH_STEP_S = 1 / 240
+"""Interval between the poses of a path, s."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +40,13 @@ class SimulatedTaps:
     stroke: float = 0.05
     round_position: float = 0.0
     round_angle: float = 0.0
+    _path: list[tuple[float, Pose]] = field(default_factory=list, compare=False, repr=False)
+
+    def path(self) -> tuple[Array, Array]:
+        """Return times (n,) at steps of ``PATH_STEP_S`` and the object's poses (n, 3) of the last
+        tap, from before the strike until the object is at rest."""
+        times, poses = zip(*self._path, strict=True)
+        return np.array(times), np.array(poses)
 
     def answer(
         self,
@@ -66,7 +76,13 @@ class SimulatedTaps:
             start = Pose(*pose)
             world.place(start)
             world.strike(Pose(*tip), self.content.height / 2, speed, now)
-            now = world.settle()
+            self._path[:] = [(now, start)]
+            while True:
+                now += PATH_STEP_S
+                world.advance(now)
+                self._path.append((now, world.pose))
+                if world.at_rest:
+                    break
             end = world.pose
             moved[index] = end.x - start.x, end.y - start.y, start.rotation_to(end)
         return moved * np.asarray(gains)[:, [0, 0, 1]]

@@ -46,7 +46,7 @@ class RestSettings:
     turn: float = 0.02
     confidence: float = 5.0
     shortest: int = 3
-    longest: int = 30
+    longest: int = 60
     memory: int = 120
     leave: float = 30.0
     gap: float = 1.0

@@ -17,10 +17,13 @@ from tapping_cell.planning.evaluation.task import (
     draw_tasks,
     trial_result,
 )
+from tapping_cell.planning.evaluation.tracks import INSTANT
+from tapping_cell.planning.evaluation.worlds import TrackedWorld
 from tapping_cell.planning.free_space import FreeSpace
 from tapping_cell.planning.interface import Array, Planner
 from tapping_cell.planning.session import PositioningSession, Strike
 from tapping_cell.planning.strike import StrikeSpace
+from tapping_cell.planning.track import Track
 from tapping_cell.se2 import Pose, displaced
 
 MAX_DRAWS = 1000
@@ -101,6 +104,8 @@ def _run_one(
         moved = evaluation.simulation.answer(
             pose[None, :], seen[None, :], np.array([decision.commanded]), gain, rng
         )[0]
+        if evaluation.track and isinstance(evaluation.simulation, TrackedWorld):
+            session.track = seen_track(*evaluation.simulation.path(), evaluation, rng)
         pose = displaced(pose, moved)
         over = over or float(space.workspace.edge_distance(pose[:2])) < space.object_radius
         if clock is not None:
@@ -108,3 +113,24 @@ def _run_one(
             session.arm = tip
             seconds += spent
     return trial_result(session, decision, pose, evaluation.most_taps, over, seconds)
+
+
+def seen_track(
+    time: Array, poses: Array, evaluation: Evaluation, rng: np.random.Generator
+) -> Track:
+    """Return the images of a true path, poses (n, 3) at equal steps of time, that a camera with the
+    rate of the evaluation takes from a random time on. One image has the noise of an observation,
+    and an error of its time."""
+    step = max(1, round(1.0 / (evaluation.track * (time[1] - time[0]))))
+    taken = slice(int(rng.integers(step)), None, step)
+    camera = evaluation.settings.camera
+    speed = np.gradient(poses, time, axis=0)[taken]
+    deviations = np.stack(
+        [
+            np.hypot(camera.position, INSTANT * np.hypot(speed[:, 0], speed[:, 1])),
+            np.hypot(camera.angle, INSTANT * speed[:, 2]),
+        ],
+        axis=-1,
+    )
+    noise = deviations[:, [0, 0, 1]] * rng.standard_normal(speed.shape)
+    return Track(time[taken], poses[taken] + noise, np.maximum(deviations, 1e-7))

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from tapping_cell.planning.evaluation.polygon_taps import contact_taps
 from tapping_cell.planning.evaluation.task import (
+    TRUTH,
     End,
     Evaluation,
     Results,
@@ -92,18 +93,35 @@ def run_open_trials(
         )
         aside[running] = np.where(missed, rng.uniform(-ASIDE, ASIDE, running.size), 0.0)
         if evaluation.adapt:
-            gains.put(
-                running,
-                known.observe(
-                    commanded, measured, orientation, evaluation.settings.scatter, camera
-                ),
+            slid = evaluation.track_of(pose[running], moved, true_gains[running], rng)
+            learnt = known.observe(
+                commanded, measured, orientation, evaluation.settings.scatter, camera, slid
             )
+            if evaluation.track == TRUTH:
+                learnt = known_exactly(learnt, true_gains[running])
+            gains.put(running, learnt)
     left = difference(pose, goal)
     distance, rotation = np.hypot(left[:, 0], left[:, 1]), left[:, 2]
     within = evaluation.settings.within_tolerance(left)
     never = np.zeros(count, dtype=bool)
     seconds = np.asarray(taps * evaluation.mean_tap, dtype=float)
     return Results(taps, end, within, distance, rotation, never, seconds)
+
+
+def known_exactly(gains: Gains, truth: Array) -> Gains:
+    """Return ``gains`` with the true gains (n, 4) of distance and rotation and the true offsets in
+    all filters."""
+    zero = np.zeros(len(truth))
+    for belief, numbers in (
+        (gains.distance, np.stack([zero, np.log(truth[:, 0])], axis=-1)),
+        (
+            gains.rotation,
+            np.stack([zero, truth[:, 1] / truth[:, 0], *truth[:, 2:].T, zero, zero], axis=-1),
+        ),
+    ):
+        belief.mean[...] = numbers[:, None, :]
+        belief.covariance[...] = 1e-8 * np.eye(numbers.shape[-1])
+    return gains
 
 
 def observe_longer(

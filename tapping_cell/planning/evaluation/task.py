@@ -12,13 +12,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tapping_cell.planning.errors import PlanningError
+from tapping_cell.planning.evaluation.tracks import rotation_gain, track_of
 from tapping_cell.planning.evaluation.worlds import AbstractWorld, World
+from tapping_cell.planning.gains import Slid
 from tapping_cell.planning.interface import Array
 from tapping_cell.planning.session import Decision, Done, GoalSession, Strike
 from tapping_cell.planning.settings import PlannerSettings
 from tapping_cell.planning.strike import StrikeSpace
 from tapping_cell.planning.tap_times import OBJECTIVES, TapTimes
 from tapping_cell.se2 import Pose, unit_vectors
+
+TRUTH = math.inf
+"""Value of ``Evaluation.track`` with which the true gains are known after the first tap."""
 
 
 class End(IntEnum):
@@ -43,6 +48,10 @@ class Evaluation:
         deviate in either direction; the factors are drawn for each trial (uniformly in the
         logarithm).
     off_centre: standard deviation of both components of the offset in ``Gains``, rad/m.
+    torque_factor: largest factor by which the true torque factor differs from the assumed one; it
+        changes the true rotation per distance in addition to ``unknown``.
+    track: images per second of the camera that follows the slide; 0: poses at rest only; TRUTH: the
+        true gains are known after the first tap, which no track can exceed (open table only).
     probe: begin with probe taps (only on a table).
     objective: "taps" or "time"; "time" requires a table and a ``clock``.
     clock: factory of the clock that computes the durations of taps. With None, no durations are
@@ -61,7 +70,9 @@ class Evaluation:
     world: World | None = None
     gain_bias: tuple[float, float] = (0.0, 0.0)
     unknown: tuple[float, float] = (1.0, 1.0)
+    torque_factor: float = 1.0
     off_centre: float = 0.0
+    track: float = 0.0
     adapt: bool = False
     seed: int = 0
     most_taps: int = 100
@@ -104,6 +115,19 @@ class Evaluation:
                 f"the limits of the factors (--unknown) are {self.unknown[0]:g} for the distance "
                 f"and {self.unknown[1]:g} for the rotation per distance; both must be 1 to 10"
             )
+        if not 1.0 <= self.torque_factor <= 10.0:
+            raise PlanningError(
+                f"the limit of the torque factor's ratio is {self.torque_factor:g}; it must be 1 "
+                "to 10"
+            )
+        if self.track != 0.0 and not self.adapt:
+            raise PlanningError(
+                "the planner learns from tracks only with --adapt: add it to --track"
+            )
+        if self.track == TRUTH and self.space is not None:
+            raise PlanningError("--track truth is only for trials on an open table")
+        if self.track not in (0.0, TRUTH) and not 10.0 <= self.track <= 1000.0:
+            raise PlanningError(f"--track is {self.track:g} Hz; it must be 10 to 1000 Hz, or off")
         if not 0.0 <= self.off_centre <= 10.0:
             raise PlanningError(
                 "the rotation per distance of off-centre objects (--off-centre) is "
@@ -115,6 +139,22 @@ class Evaluation:
         """Simulation of the taps: ``world`` or, if that is None, commanded displacements with
         scatter."""
         return AbstractWorld(self.settings.scatter) if self.world is None else self.world
+
+    def track_of(
+        self, poses: Array, moved: Array, gains: Array, rng: np.random.Generator
+    ) -> Slid | None:
+        """Return what the tracks of true displacements (n, 3) tell; None without tracks.
+
+        ``poses``: true poses (n, 3) after the tap; ``gains``: true gains (n, 4). Their systematic
+        errors ``gain_bias`` belong to the impact, all others to the slide.
+        """
+        if self.track in (0.0, TRUTH):
+            return None
+        slide = np.stack([gains[:, 0], gains[:, 1] / gains[:, 0]], axis=-1)
+        travel = np.arctan2(moved[:, 1], moved[:, 0]) - poses[:, 2] + moved[:, 2]
+        drift = gains[:, 3] * np.cos(travel) - gains[:, 2] * np.sin(travel)
+        drift = drift * np.hypot(moved[:, 0], moved[:, 1])
+        return track_of(moved, slide, drift, self.track, self.settings.camera, rng)
 
 
 class TapClock(TapTimes, Protocol):
@@ -199,8 +239,10 @@ def draw_gains(evaluation: Evaluation, count: int, rng: np.random.Generator) -> 
     signs = rng.choice([-1.0, 1.0], size=(count, 2))
     bias = 1.0 + signs * np.asarray(evaluation.gain_bias)
     factor: Array = np.ones((count, 2))
-    if evaluation.unknown != (1.0, 1.0):
-        drawn = np.asarray(evaluation.unknown) ** rng.uniform(-1.0, 1.0, (count, 2))
+    if evaluation.unknown != (1.0, 1.0) or evaluation.torque_factor != 1.0:
+        share = rng.uniform(-1.0, 1.0, (count, 2))
+        drawn = np.asarray(evaluation.unknown) ** share
+        drawn[:, 1] *= rotation_gain(evaluation.torque_factor ** -share[:, 1])
         factor = np.stack([drawn[:, 0], drawn[:, 0] * drawn[:, 1]], axis=-1)
     off: Array = np.zeros((count, 2))
     if evaluation.off_centre > 0.0:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -118,6 +118,15 @@ class World(Protocol):
     ) -> Array:
         """Return the true displacements (n, 3) of commanded taps, for true poses (n, 3), measured
         poses ``seen`` (n, 3) and true gains (n, 4)."""
+
+
+@runtime_checkable
+class TrackedWorld(Protocol):
+    """Interface of a simulation that computes the motion of an object in time."""
+
+    def path(self) -> tuple[Array, Array]:
+        """Return times (n,) at equal steps, s, and the true poses (n, 3) at these times, from
+        before the last simulated tap until the object is at rest."""
 
 
 START_REACH = 0.1

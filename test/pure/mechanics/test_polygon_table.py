@@ -49,6 +49,13 @@ def test_the_table_agrees_with_the_integration(body: Polygon, factor: float) -> 
     assert error.max() < 1.5e-3 and np.percentile(error, 95) < 1e-3
     direction = np.arctan2(twist[:, 1], twist[:, 0])
     speed = np.hypot(twist[:, 0], twist[:, 1])
+    # Each component relative to itself, for launches that a tap can cause.
+    tapped = np.abs(twist[:, 2]) * body.support_radius <= speed
+    place = np.linalg.norm((tabulated - true)[:, :2], axis=1) / np.hypot(true[:, 0], true[:, 1])
+    turns = tapped & (np.abs(true[:, 2]) * scale[2] > 0.05 * np.hypot(true[:, 0], true[:, 1]))
+    turned = np.abs(tabulated[turns, 2] / true[turns, 2] - 1.0)
+    for component in (place[tapped], turned):
+        assert np.median(component) < 1e-3 and component.max() < 1e-2
     rest = exact.rest(speed, twist[:, 2], direction)
     assert exact.tabulated().rest(speed, twist[:, 2], direction).duration == pytest.approx(
         rest.duration, rel=1e-2

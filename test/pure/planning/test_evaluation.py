@@ -16,7 +16,7 @@ from tapping_cell.configuration.files import shared_folder
 from tapping_cell.configuration.schema import ConfigurationError
 from tapping_cell.planning import CameraNoise, PlannerSettings, PlanningError
 from tapping_cell.planning.evaluation import Evaluation, Results, evaluate, parallel, summarise
-from tapping_cell.planning.evaluation.task import End
+from tapping_cell.planning.evaluation.task import TRUTH, End, draw_gains
 
 CAMERA_NOISE = CameraNoise(1e-4, math.radians(0.1))
 
@@ -191,6 +191,11 @@ def test_the_report_compares_a_class_of_the_user_with_all_methods(capsys, tmp_pa
     ("words", "sentence"),
     [
         (["--planner", "exakt"], "choose one of exact"),
+        (["--unknown", "weight=2"], "weight=2"),
+        (["--unknown", "friction"], "NAME=FACTOR"),
+        (["--track", "fast"], "images per second"),
+        (["--track", "30"], "--adapt"),
+        (["--track", "30", "--adapt", "--table"], "abstract"),
         (["--planner", "no_such_module:Mine"], "No module named 'no_such_module'"),
         (["--trials", "0"], "0 trials"),
         (["--box", "3"], "box is 3.0"),
@@ -230,3 +235,30 @@ def test_a_cell_that_check_config_refuses_is_evaluated_only_with_force(tmp_path,
 def test_a_share_states_what_it_is_a_share_of() -> None:
     assert share_text(4, 20) == "4 of 20 (20.00 %)"
     assert share_text(0, 0) == "0 of 0"
+
+
+def test_a_track_saves_taps_up_to_the_limit_of_full_knowledge() -> None:
+    """Friction and rotation within 2, goals to 60 mm and 60 degrees: paired with the same seeds."""
+    taps = {}
+    for name, rate in (("off", 0.0), ("30 Hz", 30.0), ("truth", TRUTH)):
+        evaluation = Evaluation(
+            "optimal",
+            PlannerSettings(camera=CameraNoise(1.5e-5, math.radians(0.015))),
+            trials=1000,
+            random_tasks=(0.060, math.radians(60.0)),
+            unknown=(2.0, 2.0),
+            adapt=True,
+            track=rate,
+        )
+        results = evaluate(evaluation, processes=1)
+        assert np.all(results.inside)
+        taps[name] = float(results.taps.mean())
+    assert taps["30 Hz"] < taps["off"] - 0.1
+    assert taps["truth"] < taps["30 Hz"]
+
+
+def test_the_torque_factor_is_drawn_apart_from_the_friction() -> None:
+    evaluation = Evaluation("exact", PlannerSettings(), torque_factor=2.0)
+    gains = draw_gains(evaluation, 500, np.random.default_rng(1))
+    assert np.all(gains[:, 0] == 1.0)
+    assert np.all((gains[:, 1] > 0.55) & (gains[:, 1] < 1.55)) and np.ptp(gains[:, 1]) > 0.7

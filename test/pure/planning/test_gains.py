@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tapping_cell.planning import CameraNoise, Gains, PlanningError, Scatter, keep_gains, load_gains
-from tapping_cell.planning.gains import HIGHEST, LOWEST, NAMES, plan_rotation
+from tapping_cell.planning.gains import HIGHEST, LOWEST, NAMES, Slid, plan_rotation
 from tapping_cell.planning.kept_gains import gains_file
 
 SCATTER, CAMERA = Scatter(), CameraNoise(1e-4, math.radians(0.1))
@@ -242,3 +242,29 @@ def test_saved_gains_are_restored_and_a_damaged_file_is_named():
     path.write_text("{")
     with pytest.raises(PlanningError, match="delete it"):
         load_gains(name, "domain0")
+
+
+def test_a_track_tells_the_torque_factor_from_the_scatter_of_the_impact():
+    """One tap whose impact turned the object 30 % too much: without a track, the planner attributes
+    a part of it to the object; with a track, nothing."""
+    asked = np.array([0.02, 0.0, math.radians(5.0)])
+    moved = np.array([0.02, 0.0, 1.3 * asked[2]])
+    gains = Gains.start()
+    gains.rotation.weight[:] = [0.0, 1.0, 0.0, 0.0, 0.0]  # certainly a wrong torque factor
+    as_launched = Slid(
+        np.array(0.02), np.array(1.3 * asked[2] / 0.02), np.array(0.01), np.array(0.01)
+    )
+    without = gains.observe(asked, moved, 0.0, SCATTER, CAMERA)
+    tracked = gains.observe(asked, moved, 0.0, SCATTER, CAMERA, as_launched)
+    assert without.value[1] > 1.2
+    assert tracked.value[1] == pytest.approx(1.0, abs=0.09)
+    assert tracked.deviation[1] < 0.6 * without.deviation[1]
+
+
+def test_a_track_without_a_measured_launch_is_the_same_as_no_track():
+    asked, moved = np.array([0.01, 0.005, 0.05]), np.array([0.015, 0.008, 0.1])
+    nothing = Slid(*(np.array(math.nan),) * 4)
+    with_it = Gains.start().observe(asked, moved, 0.3, SCATTER, CAMERA, nothing)
+    without = Gains.start().observe(asked, moved, 0.3, SCATTER, CAMERA)
+    assert with_it.value == pytest.approx(without.value, rel=0.02)
+    assert with_it.deviation == pytest.approx(without.deviation, rel=0.05)
