@@ -186,7 +186,7 @@ def _pick(rng: np.random.Generator, names: tuple[str, ...]) -> str:
 NODES = ("tap_planner", "scara_arm", "tapper_trigger")
 MODULES = {
     "tap_planner": "planner tap_cycle tap_decision tap_steps tap_counts tap_sender confirmation"
-    " resumption goal_requests planner_reports",
+    " resumption goal_requests planner_reports planner_inputs",
     "scara_arm": "arm arm_readings standing_still device",
     "tapper_trigger": "tapper tapper_cycle tapper_board tapper_commands device",
 }

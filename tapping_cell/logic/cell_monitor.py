@@ -143,8 +143,9 @@ class CellMonitor:
         return None if record is None else record.last_slide(rest)
 
     def _note_seen(self, name: str, state: ObjectState, now: Now) -> None:
-        self._slides.setdefault(name, SlideRecord()).add(state)
         if state.visible and not state.error_code:
+            if not _implausible(state):
+                self._slides.setdefault(name, SlideRecord()).add(state)
             seen = min(self.camera_clock.to_steady(state.header.stamp, now), now.steady)
             self._seen_at[name] = max(self._seen_at.get(name, -math.inf), seen)
         else:

@@ -124,7 +124,8 @@ class Working:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BetweenTaps(Working):
-    """No tap can be fired at present."""
+    """The planner waits for no tap. One that it gave up may still be fired until the tapper has
+    received its withdrawal."""
 
     shot: Shot | None = None
     """The last tap while its result has not been observed."""

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from collections import deque
 
 import numpy as np
 
 from tapping_cell.logic.clock import to_seconds
 from tapping_cell.logic.poses import covariance_from_message, from_message
-from tapping_cell.messages import ErrorCode, ObjectState
+from tapping_cell.messages import ObjectState
 from tapping_cell.planning.session import noise_of
 from tapping_cell.planning.track import Track
 
@@ -31,9 +30,14 @@ class SlideRecord:
         self._seen: deque[ObjectState] = deque(maxlen=KEPT)
 
     def add(self, state: ObjectState) -> None:
-        """Add an observation; those that show no object are ignored."""
-        if state.visible and state.error_code == ErrorCode.NONE:
-            self._seen.append(state)
+        """Add an observation that shows the object. Of consecutive ones at rest, the last is kept,
+        so that a long rest does not displace the slide."""
+        last = self._seen[-1] if self._seen else None
+        if last is not None and last.header.stamp == state.header.stamp:
+            return
+        if last is not None and last.at_rest and state.at_rest:
+            self._seen.pop()
+        self._seen.append(state)
 
     def last_slide(self, rest: ObjectState) -> Track | None:
         """Return the poses of the slide before ``rest``, an observation of the object at rest:
@@ -60,9 +64,10 @@ class SlideRecord:
         )
         if len(taken) > 1:
             # The stated covariance of the first images of a motion lacks the error of their time.
-            speed = np.abs(np.gradient(track.poses, track.time, axis=0))
+            poses = np.column_stack([track.poses[:, :2], np.unwrap(track.poses[:, 2])])
+            speed = np.abs(np.gradient(poses, track.time, axis=0))
             speed[[state.at_rest for state in taken]] = 0.0
             pace = np.stack([np.hypot(speed[:, 0], speed[:, 1]), speed[:, 2]], axis=-1)
             track = track._replace(deviations=np.hypot(track.deviations, INSTANT_S * pace))
         known = np.all(np.isfinite(track.poses), axis=1) & np.all(track.deviations > 0.0, axis=1)
-        return Track(*(part[known] for part in track)) if math.isfinite(ended) else None
+        return Track(*(part[known] for part in track))

@@ -22,10 +22,7 @@ delay of a message."""
 
 
 class TapSender:
-    """Makes the messages on ``tap_command``. No id is used twice.
-
-    A withdrawal counts as made once the caller has taken it from the iterator.
-    """
+    """Makes the messages on ``tap_command``. No id is used twice."""
 
     def __init__(self, monitor: CellMonitor) -> None:
         self._monitor = monitor
@@ -60,8 +57,8 @@ class TapSender:
     def withdraw(self, tap_id: int, now: Now) -> Iterator[Publish]:
         """Withdraw a tap; repeated calls for the same tap have no effect."""
         if tap_id != self._withdrawn_id:
-            yield _withdrawal(tap_id, now)
             self._withdrawn_id, self._withdrawn_at = tap_id, now.steady
+            yield _withdrawal(tap_id, now)
 
     def withdraw_orphan(self, now: Now) -> Iterator[Publish]:
         """Withdraw a tap of a previous planner that the arm still serves, if any."""

@@ -51,7 +51,7 @@ class ReceivedCommands:
     def note_refused(
         self, command: TapCommand, used: int | None, awaits_outcome: bool, now: Now
     ) -> bool:
-        """Store a refused command; return whether its tap is reported as the last tap.
+        """Store a refused command; return whether its tap may be reported as the last tap.
 
         Until the outcome of the last accepted tap is known, possibly after a stop, the published
         state refers only to that tap, so the refused tap is not reported. An id above the largest

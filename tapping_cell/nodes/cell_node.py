@@ -275,7 +275,8 @@ class CellNode(LifecycleNode, Generic[Parameters]):
             if self._simulated_time and self.get_clock().now().nanoseconds == 0:
                 raise NotReady(NO_CLOCK)
             self.configure()
-            parameters.refuse_unknown_qualities(self, self._qualities)
+            fixed = {self.resolve_topic_name(topic) for topic in FIXED_QUALITY}
+            parameters.check_qualities(self, self._qualities, fixed)
         except (ConfigurationError, NotReady) as error:
             if isinstance(error, NotReady):
                 self._complain(str(error), error.expected)

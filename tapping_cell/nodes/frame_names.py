@@ -5,14 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from tapping_cell.hardware.link_frames import LINKS
 from tapping_cell.logic.frames import TABLE
 
+FRAMES = frozenset((TABLE, "object", "camera_optical", *LINKS))
+"""The cell's frames, without a prefix."""
 FRAME_FIELDS = ("frame_id", "child_frame_id")
 
 
 def add_prefix(message: Any, prefix: str) -> None:
-    """Add the prefix to every frame in a ROS message that does not have it yet."""
-    _rename(message, lambda name: name if name.startswith(prefix) else prefix + name)
+    """Add the prefix to every frame of the cell in a ROS message."""
+    _rename(message, lambda name: prefix + name if name in FRAMES else name)
 
 
 def accept_table(message: Any, prefix: str) -> None:

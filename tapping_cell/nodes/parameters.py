@@ -66,22 +66,28 @@ def declare(node: Node, kind: type[Parameters], changeable: tuple[str, ...] = ()
             ) from error
 
 
-def refuse_unknown_qualities(node: Node, known: Collection[str]) -> None:
-    """Refuse parameters for the quality of service that no topic of the node has. ``known``: their
-    full names. Call it when the node has created its publishers and subscriptions.
+def check_qualities(node: Node, known: Collection[str], fixed: Collection[str]) -> None:
+    """Check the parameters for the quality of service. ``known``: full names of those that the
+    node's topics have; ``fixed``: full names of the topics that no parameter changes. Call it when
+    the node has created its publishers and subscriptions. A topic that the node has not opened is
+    only logged, because a file may set parameters of several nodes, or the node may open it later.
 
     Raises:
         ConfigurationError: the message contains the names that exist.
     """
-    prefix = QOS_OVERRIDES.removesuffix(".")
-    for rest in node.get_parameters_by_prefix(prefix):
+    policies = {name.rpartition(".")[2] for name in known}
+    for rest in node.get_parameters_by_prefix(QOS_OVERRIDES.removesuffix(".")):
         name = f"{QOS_OVERRIDES}{rest}"
-        if name not in known:
-            raise ConfigurationError(
-                f"{node.get_name()}: unknown parameter '{name}'; the quality of service of commands"
-                " and stops is fixed, and that of other topics is set by: "
-                + ", ".join(sorted(known))
-            )
+        if name in known:
+            continue
+        sentence = (
+            f"{node.get_name()}: unknown parameter '{name}'; the quality of service of commands"
+            " and stops is fixed, and that of other topics is set by: " + ", ".join(sorted(known))
+        )
+        topic, _, end = rest.partition(".")
+        if topic in fixed or end.rpartition(".")[2] not in policies:
+            raise ConfigurationError(sentence)
+        node.get_logger().warning(sentence)
 
 
 def read(node: Node, kind: type[Parameters]) -> Parameters:

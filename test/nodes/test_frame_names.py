@@ -14,10 +14,11 @@ from tapping_cell.nodes.frame_names import accept_table, add_prefix
 def test_the_prefix_is_added_once_also_in_nested_messages() -> None:
     message = ObjectStates(objects=[ObjectState(), ObjectState()])
     message.header.frame_id = message.objects[0].header.frame_id = "table"
+    message.objects[1].header.frame_id = "fixture"  # of others
     for _ in range(2):
         add_prefix(message, "left/")
     frames = [message.header.frame_id, *(each.header.frame_id for each in message.objects)]
-    assert frames == ["left/table", "left/table", ""]
+    assert frames == ["left/table", "left/table", "fixture"]
 
 
 def test_only_the_own_table_loses_its_prefix() -> None:

@@ -10,6 +10,7 @@ import time
 from functools import partial
 from typing import Any
 
+from rclpy.client import Client
 from rclpy.task import Future
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
@@ -23,7 +24,7 @@ from tapping_cell.nodes.private_names import PrivateNames
 
 NAME = "cell_client"
 STOP_TIMEOUT_S = 2.0
-STOP_PERIOD_S = 0.02
+PERIOD_S = 0.02
 
 
 class NoCell(RuntimeError):
@@ -129,7 +130,7 @@ class CellClient(ClientNode):
         while missing and time.monotonic() < deadline:
             self.in_executor(ask)
             missing = [actor for actor in actors if actor not in asked or not asked[actor].done()]
-            time.sleep(STOP_PERIOD_S)
+            time.sleep(PERIOD_S)
         if missing:
             raise NotDone(
                 f"{' and '.join(missing)} did not confirm the stop within {STOP_TIMEOUT_S:.0f} s:"
@@ -169,11 +170,21 @@ class CellClient(ClientNode):
         return message
 
     def _call(self, role: str, service: str, patience: float = 5.0) -> tuple[bool, str]:
-        client = self.in_executor(lambda: self._private.client(role, service))
-        if not client.wait_for_service(patience):
-            return False, f"{role} does not answer; is it running?"
+        deadline = time.monotonic() + patience
+        # The client is another one as soon as the node is found under another name.
+        while not (client := self._ready_client(role, service)):
+            if time.monotonic() > deadline:
+                return False, f"{role} does not answer; is it running?"
+            time.sleep(PERIOD_S)
         try:
             answer = self.result_of(lambda: client.call_async(Trigger.Request()), patience)
         except TimeoutError:
             return False, f"{role} did not answer within {patience:.0f} s"
         return bool(answer.success), f"{role}: {answer.message}"
+
+    def _ready_client(self, role: str, service: str) -> Client | None:
+        def find() -> Client | None:
+            client = self._private.client(role, service)
+            return client if client.service_is_ready() else None
+
+        return self.in_executor(find)
