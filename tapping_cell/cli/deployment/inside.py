@@ -6,6 +6,7 @@ folder below a trusted one is therefore opened by itself, and a link in its plac
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import os
 import stat
@@ -55,10 +56,8 @@ def write_inside(
     folder = _folder(file.parent, base, make=True, owner=owner)
     part = f".{file.name}.part"
     try:
-        try:
+        with contextlib.suppress(FileNotFoundError):
             os.unlink(part, dir_fd=folder)
-        except FileNotFoundError:
-            pass
         flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | _FILE
         with open(os.open(part, flags, 0o666, dir_fd=folder), "w", encoding="utf-8") as stream:
             stream.write(text)

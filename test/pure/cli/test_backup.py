@@ -93,7 +93,8 @@ def test_a_wrong_configuration_is_not_restored(places: Places, tmp_path: Path, c
     "name",
     ["../passwd", "/etc/passwd", "configuration/../../x", "records/d/stop-scara_arm.json",
      "configuration/cell.env", "configuration/deployed.json", "gains//etc/cron.d/x",
-     "configuration/./cell.env", "configuration//cell.env", "gains/", "other/x", "records/d/goal.json"],
+     "configuration/./cell.env", "configuration//cell.env",
+     "gains/", "other/x", "records/d/goal.json"],
 )  # fmt: skip
 def test_a_foreign_path_is_refused(places: Places, tmp_path: Path, name: str) -> None:
     archive = tmp_path / "a.zip"
