@@ -64,6 +64,10 @@ class Places:
         """Return the list of what ``undeploy`` left; None if it left nothing."""
         return self._list(LEFT)
 
+    def known(self) -> dict[str, Any] | None:
+        """Return the list of what ``deploy`` wrote, or of what ``undeploy`` left of it."""
+        return self.manifest() or self.left()
+
     def _list(self, name: str) -> dict[str, Any] | None:
         try:
             found = json.loads((self.configuration / name).read_text(encoding="utf-8"))
