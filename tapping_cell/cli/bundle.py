@@ -111,8 +111,8 @@ def contents(places: Places, runs: Path | None) -> Iterator[tuple[str, str]]:
     # A symbolic link below one of these folders could lead to any file of the computer.
     trusted = (places.configuration, places.state, runs, logs, places.root / "etc")
     for name, file in files.items():
-        data = read_inside(
+        last = read_inside(
             file, next(base for base in trusted if file.is_relative_to(base)), LONGEST
         )
-        if data is not None:
-            yield name, data.decode("utf-8", errors="replace")
+        if last is not None:
+            yield name, last.decode("utf-8", errors="replace")
