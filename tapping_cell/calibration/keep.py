@@ -15,10 +15,12 @@ rejects is never written.
 
 from __future__ import annotations
 
+import contextlib
 import glob
 import hashlib
 import os
 import shutil
+import stat
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from datetime import datetime, timezone
@@ -120,6 +122,7 @@ def write_kept(output: Output, text: str, new: Provenance, read: Callable[[Path]
         replace_text(draft, text)
         read(draft)
         if output.force:
+            _give_rights_of(output.path, draft)
             keep_earlier(output.path)
             os.replace(draft, output.path)
             sync_folder(output.path.parent)
@@ -139,28 +142,52 @@ def earlier_files(path: Path) -> list[Path]:
     return sorted((path.parent / HISTORY).glob(f"{glob.escape(path.name)}.*Z"), reverse=True)
 
 
-def keep_earlier(path: Path) -> None:
+def undone_files(path: Path) -> list[Path]:
+    """Return the contents that were taken back, the latest one first."""
+    return sorted((path.parent / HISTORY).glob(f"{glob.escape(path.name)}.*Z.undone"), reverse=True)
+
+
+def keep_earlier(path: Path, kept_as: Path | None = None) -> None:
     """Copy a file that is about to be replaced to the history, and delete the oldest copies.
+    ``kept_as``: the file in whose history it is kept, if it is another one.
 
     Raises:
         OSError: the copy cannot be written.
     """
+    kept_as = kept_as or path
+    _copy_to_history(path, kept_as)
+    for old in earlier_files(kept_as)[KEPT:]:
+        old.unlink()
+
+
+def _copy_to_history(path: Path, kept_as: Path, suffix: str = "") -> None:
     if not path.exists():
         return
-    (path.parent / HISTORY).mkdir(exist_ok=True)
+    history = kept_as.parent / HISTORY
+    if not history.exists():
+        history.mkdir()
+        _give_rights_of(kept_as.parent, history)
     when = datetime.now(timezone.utc).strftime("%Y-%m-%dT%H-%M-%S.%fZ")
-    copy = path.parent / HISTORY / f"{path.name}.{when}"
+    copy = history / f"{kept_as.name}.{when}{suffix}"
     # The copy gets its name when it is complete. The time of the copied file is kept.
     part = part_of(copy)
     shutil.copy2(path, part)
     part.replace(copy)
-    for old in earlier_files(path)[KEPT:]:
-        old.unlink()
+
+
+def _give_rights_of(old: Path, new: Path) -> None:
+    """Give a new file the mode and, if that is allowed, the owner of the file that it replaces."""
+    if not old.exists():
+        return
+    found = old.stat()
+    with contextlib.suppress(PermissionError):
+        os.chown(new, found.st_uid, found.st_gid)
+    new.chmod(stat.S_IMODE(found.st_mode))
 
 
 def undo(path: Path, read: Callable[[Path], object]) -> Path:
     """Give a file its latest earlier content, and return the path that this content had. The
-    present content becomes ``NAME.undone`` in the history.
+    present content becomes ``NAME.TIME.undone`` in the history.
 
     Raises:
         KeptFile: no earlier content is kept.
@@ -174,13 +201,15 @@ def undo(path: Path, read: Callable[[Path], object]) -> Path:
     try:
         replace_text(draft, earlier[0].read_text(encoding="utf-8"))
         read(draft)
-        if path.exists():
-            shutil.copy2(path, path.parent / HISTORY / f"{path.name}.undone")
+        _give_rights_of(path if path.exists() else earlier[0], draft)
+        _copy_to_history(path, path, ".undone")
         os.replace(draft, path)
         sync_folder(path.parent)
     finally:
         draft.unlink(missing_ok=True)
     earlier[0].unlink()
+    for old in undone_files(path)[KEPT:]:
+        old.unlink()
     return earlier[0]
 
 

@@ -21,6 +21,7 @@ from pathlib import Path
 from tapping_cell.cli.check_config import check
 from tapping_cell.cli.deploy import add_name
 from tapping_cell.cli.deployment.archive import collected
+from tapping_cell.cli.deployment.inside import read_inside
 from tapping_cell.cli.deployment.places import Places
 from tapping_cell.cli.deployment.service_state import output_of, service_state
 from tapping_cell.cli.errors import ExitStatus, print_error
@@ -96,18 +97,22 @@ def contents(places: Places, runs: Path | None) -> Iterator[tuple[str, str]]:
                 "--output=short-iso",
             ),
         )
-    files = collected(places)
-    files["service/cell.env"] = places.configuration / "cell.env"
+    for name, data in collected(places).items():
+        yield name, data[-LONGEST:].decode("utf-8", errors="replace")
+    files = {"service/cell.env": places.configuration / "cell.env"}
     files["service/unit"] = places.root / "etc/systemd/system" / places.unit
     files["runs/refused"] = runs / REFUSALS
     logs = places.root / "var/log" / places.name if deployed else runs / "up"
     files |= {f"logs/{log.relative_to(logs)}": log for log in sorted(logs.rglob("*.log"))}
-    summaries = sorted(runs.glob("*/summary.json"), key=lambda file: file.stat().st_mtime)
+    summaries = sorted(runs.glob("*/summary.json"), key=lambda file: file.lstat().st_mtime)
     for file in summaries[-RUNS:]:
         for each in (file, file.with_name("taps.csv")):
             files[f"runs/{file.parent.name}/{each.name}"] = each
+    # A symbolic link below one of these folders could lead to any file of the computer.
+    trusted = (places.configuration, places.state, runs, logs, places.root / "etc")
     for name, file in files.items():
-        if file.is_file():
-            with file.open("rb") as stream:
-                stream.seek(max(0, file.stat().st_size - LONGEST))
-                yield name, stream.read(LONGEST).decode("utf-8", errors="replace")
+        last = read_inside(
+            file, next(base for base in trusted if file.is_relative_to(base)), LONGEST
+        )
+        if last is not None:
+            yield name, last.decode("utf-8", errors="replace")

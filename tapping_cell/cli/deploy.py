@@ -1,7 +1,8 @@
 """Make a cell start with this computer: a systemd unit, a system user, device names, and files in
 /etc.
 
-The plan is printed first, and carried out after a yes. The cell comes up stopped: the arm is homed
+The plan is printed first, and carried out after a yes. Cell files are replaced only by others that
+--cell gives; the earlier ones are kept in .history. The cell comes up stopped: the arm is homed
 only on request, and a stored stop stays active. Run it as root in a shell that is set up, from a
 source folder outside the home folders, such as /opt.
 
@@ -13,22 +14,26 @@ source folder outside the home folders, such as /opt.
 from __future__ import annotations
 
 import argparse
+import contextlib
+import grp
 import hashlib
 import json
 import os
+import pwd
 import shutil
 import subprocess
 import sys
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from tapping_cell import __version__
-from tapping_cell.calibration.keep import now
+from tapping_cell.calibration.keep import HISTORY, keep_earlier, now
 from tapping_cell.cli import argument_types
 from tapping_cell.cli.deployment import service
 from tapping_cell.cli.deployment.adapters import Adapter, adapter_of
 from tapping_cell.cli.deployment.cell_copy import copied_cell
-from tapping_cell.cli.deployment.places import DEFAULT_NAME, MANIFEST, Places, valid_name
+from tapping_cell.cli.deployment.places import DEFAULT_NAME, LEFT, MANIFEST, Places, valid_name
 from tapping_cell.cli.errors import ExitStatus, print_error, print_refusal
 from tapping_cell.cli.graph import GraphError, domain_number
 from tapping_cell.cli.start_checks import refuse_unused
@@ -48,28 +53,52 @@ PRIVATE_FOLDERS = ("/home", "/root", "/tmp", "/var/tmp", "/run")
 
 @dataclass(frozen=True, slots=True)
 class PlannedFile:
-    """A file or symbolic link to be written; an existing file with ``keep`` is kept."""
+    """A file or symbolic link to be written."""
 
     path: Path
     """Path on the deployed computer."""
     text: str
     """Content, or the target of the link."""
     link: bool = False
-    keep: bool = False
+    cell: bool = False
+    """Whether it is a copy of a cell file or of a file that it names, and may be calibrated."""
 
-    def write(self, root: Path) -> bool:
-        """Write the file. Return whether it was written and not kept."""
-        place = root / self.path.relative_to("/")
-        if self.keep and place.exists():
-            return False
-        place.parent.mkdir(parents=True, exist_ok=True)
+    def act(self, places: Places, replaces: bool) -> str:
+        """Return what is done: ``keep``, ``write``, or ``replace`` of a file that was changed or
+        comes from another cell, with a copy of the earlier one. ``replaces``: the cell files were
+        named, and replace those of another cell."""
+        place = places.root / self.path.relative_to("/")
+        if self.link or not place.exists():
+            return "write"
+        present = digest_of(place)
+        if present == digest(self.text):
+            return "keep" if self.cell else "write"
+        deployed = (places.known() or {}).get("files", {}).get(str(self.path))
+        if self.cell:
+            # Of the same source as before, the present file may be a later calibration.
+            return "replace" if replaces and deployed != digest(self.text) else "keep"
+        return "write" if present == deployed else "replace"
+
+    def write(self, places: Places, act: str) -> None:
+        """Write the file."""
+        place = places.root / self.path.relative_to("/")
+        make_folder(place.parent)
+        if act == "replace":
+            keep_earlier(place, place if self.cell else places.configuration / place.name)
         if self.link:
             place.unlink(missing_ok=True)
             place.symlink_to(self.text)
         else:
             replace_text(place, self.text)
             place.chmod(0o644)
-        return True
+
+
+def make_folder(path: Path) -> None:
+    """Make a folder that every user may read, whatever the umask is."""
+    for folder in reversed([path, *path.parents]):
+        if not folder.exists():
+            folder.mkdir()
+            folder.chmod(0o755)
 
 
 def add_name(parser: argparse.ArgumentParser) -> None:
@@ -153,19 +182,27 @@ def run(arguments: argparse.Namespace) -> int:
             os.environ if arguments.domain is None else {"ROS_DOMAIN_ID": str(arguments.domain)}
         )
         files, remarks = planned(arguments, cell, places, domain)
+        refuse_foreign(places, files)
     except (ConfigurationError, GraphError, OSError) as error:
         return print_refusal(error)
     live = arguments.root == Path("/")
     commands = started_by(places) if live else []
-    for file in files:
-        kept = file.keep and (arguments.root / file.path.relative_to("/")).exists()
-        print(f"{'keep ' if kept else 'write'} {file.path}" + f" -> {file.text}" * file.link)
+    acts = {file: file.act(places, arguments.cell is not None) for file in files}
+    obsolete = obsolete_files(places, files)
+    for file, act in acts.items():
+        print(f"{act:7} {file.path}" + f" -> {file.text}" * file.link)
+        if act == "replace":
+            why = "differs from this cell" if file.cell else "was changed since it was deployed"
+            folder = (file.path.parent if file.cell else Path("/etc") / places.name) / HISTORY
+            remarks.append(f"{file.path} {why}; the present one is kept in {folder}")
         if arguments.dry_run and not file.link:
             print("".join(f"    {line}\n" for line in file.text.splitlines()), end="")
+    for path in obsolete:
+        print(f"remove  {path}")
     for command in commands:
-        print(f"run   {' '.join(command)}")
+        print(f"run     {' '.join(command)}")
     for remark in remarks:
-        print(f"note  {remark}")
+        print(f"note    {remark}")
     if arguments.dry_run:
         return ExitStatus.DONE
     if refused := unsuitable(live):
@@ -174,7 +211,7 @@ def run(arguments: argparse.Namespace) -> int:
     if not arguments.yes and not agreed():
         return ExitStatus.FAILED
     try:
-        return carry_out(files, places, commands)
+        return carry_out(acts, obsolete, places, commands)
     except OSError as error:
         print_error(f"{error.filename}: {error.strerror}; deploy again after the remedy")
         return ExitStatus.FAILED
@@ -209,6 +246,12 @@ def planned(
                 )
             adapters[part] = found
             ports[port] = f"/dev/{name}/{part}"
+        for part, found in same_serial(adapters).items():
+            remarks.append(
+                f"{part}: another adapter has the same serial number {found.serial}, so its USB "
+                f"socket {found.place} names it"
+            )
+            adapters[part] = replace(found, serial="")
         options += ["--hardware", "--camera", ports.get(wanted["camera"], wanted["camera"])]
     if arguments.page:
         address, port = arguments.page
@@ -227,7 +270,7 @@ def planned(
     systemd = Path("/etc/systemd/system")
     files = [
         *(
-            PlannedFile(configuration / path, text, keep=True)
+            PlannedFile(configuration / path, text, cell=True)
             for path, text in sorted(copied_cell(cell, ports).items())
         ),
         PlannedFile(configuration / "cell.env", environment),
@@ -246,6 +289,76 @@ def planned(
             PlannedFile(Path(f"/etc/udev/rules.d/70-{name}.rules"), "\n".join(rules) + "\n")
         )
     return files, remarks
+
+
+def same_serial(adapters: Mapping[str, Adapter]) -> dict[str, Adapter]:
+    """Return the adapters in different sockets that have the same serial number."""
+    return {
+        part: one
+        for part, one in adapters.items()
+        if one.serial
+        and any(
+            (one.vendor, one.product, one.serial) == (other.vendor, other.product, other.serial)
+            and one.place != other.place
+            for other in adapters.values()
+        )
+    }
+
+
+def refuse_foreign(places: Places, files: list[PlannedFile]) -> None:
+    """Check that a first deployment takes over nothing that belongs to something else.
+
+    Raises:
+        ConfigurationError: a user, folder, unit or file of this name exists already.
+    """
+    if places.known() is not None:
+        return
+    found = [
+        str(folder)
+        for folder in (places.configuration, places.state)
+        # An interrupted deployment may leave an empty folder.
+        if folder.is_symlink() or (folder.is_dir() and any(folder.iterdir())) or folder.is_file()
+    ]
+    units = ("etc", "run", "usr/local/lib", "usr/lib", "lib")
+    paths = [places.root / folder / "systemd/system" / places.unit for folder in units]
+    paths += [places.root / file.path.relative_to("/") for file in files if not file.cell]
+    found += dict.fromkeys(str(path) for path in paths if path.exists() or path.is_symlink())
+    if user_exists(places):
+        found.insert(0, f"the user or group {places.name}")
+    if found:
+        raise ConfigurationError(
+            f"{found[0]} exists already, and deploy did not make it: choose another --name, or "
+            "remove it if it is not needed"
+        )
+
+
+def user_exists(places: Places) -> bool:
+    """Return whether the computer has a user or a group with the name of the cell."""
+    if places.root == Path("/"):
+        for find in (pwd.getpwnam, grp.getgrnam):
+            with contextlib.suppress(KeyError):
+                find(places.name)
+                return True
+    for file in ("passwd", "group"):
+        try:
+            text = (places.root / "etc" / file).read_text(encoding="utf-8", errors="replace")
+        except OSError:
+            continue
+        if any(line.startswith(f"{places.name}:") for line in text.splitlines()):
+            return True
+    return False
+
+
+def obsolete_files(places: Places, files: list[PlannedFile]) -> list[str]:
+    """Return the files of an earlier deployment that this one lacks, such as the names of adapters.
+    Cell files stay."""
+    earlier = (places.known() or {}).get("files", {})
+    planned_now = {str(file.path) for file in files}
+    return [
+        path
+        for path in earlier
+        if path not in planned_now and not path.startswith(f"/etc/{places.name}/")
+    ]
 
 
 def started_by(places: Places) -> list[list[str]]:
@@ -294,17 +407,38 @@ def agreed() -> bool:
         return False
 
 
-def carry_out(files: list[PlannedFile], places: Places, commands: list[list[str]]) -> int:
+def carry_out(
+    acts: Mapping[PlannedFile, str], obsolete: list[str], places: Places, commands: list[list[str]]
+) -> int:
     """Write the files, with a list of what was written for ``undeploy``, and run the commands."""
-    written = (places.manifest() or {}).get("files", {})
-    content = {"version": __version__, "made": now(), "files": written}
-    places.configuration.mkdir(parents=True, exist_ok=True)
-    for file in files:
-        if file.write(places.root):
+    known = places.known()
+    written = (known or {}).get("files", {})
+    # A first deployment makes the user: refuse_foreign refuses one that exists.
+    user = known is None or known.get("user") is True
+    content = {"version": __version__, "made": now(), "user": user, "files": written}
+    make_folder(places.configuration)
+    write_list(places, MANIFEST, content)
+    (places.configuration / LEFT).unlink(missing_ok=True)
+    for file, act in acts.items():
+        if act != "keep":
+            file.write(places, act)
             written[str(file.path)] = digest(file.text)
             # After an interruption, undeploy knows what was written until then.
-            replace_text(places.configuration / MANIFEST, json.dumps(content, indent=2) + "\n")
+            write_list(places, MANIFEST, content)
+    for path in obsolete:
+        place = places.root / path.lstrip("/")
+        if not place.is_symlink() and place.exists() and digest_of(place) != written[path]:
+            keep_earlier(place, places.configuration / place.name)
+        place.unlink(missing_ok=True)
+        del written[path]
+        write_list(places, MANIFEST, content)
     return run_all(commands)
+
+
+def write_list(places: Places, name: str, content: Mapping[str, object]) -> None:
+    """Write a list of files that every user may read."""
+    replace_text(places.configuration / name, json.dumps(content, indent=2) + "\n")
+    (places.configuration / name).chmod(0o644)
 
 
 def run_all(commands: list[list[str]]) -> int:
@@ -316,6 +450,15 @@ def run_all(commands: list[list[str]]) -> int:
             print_error(f"{' '.join(command)}: {(result.stderr or result.stdout).strip()}")
             status = ExitStatus.FAILED
     return status
+
+
+def digest_of(place: Path) -> str:
+    """Return the digest of a file, or of the target of a link; empty if it cannot be read."""
+    try:
+        text = os.readlink(place) if place.is_symlink() else place.read_text(encoding="utf-8")
+    except (OSError, ValueError):
+        return ""
+    return digest(text)
 
 
 def digest(text: str) -> str:

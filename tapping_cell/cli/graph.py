@@ -254,7 +254,9 @@ class Graph:
 
 def last_output(log: Path, begin: int = 0, lines: int = 3) -> str:
     """Return the last lines of a node's log, starting at byte ``begin``, joined to one line."""
-    text = log.read_bytes()[begin:].decode("utf-8", errors="replace")
+    data = log.read_bytes()
+    # A shorter log was emptied by logrotate since.
+    text = data[begin if begin <= len(data) else 0 :].decode("utf-8", errors="replace")
     kept = [line.strip() for line in text.splitlines() if line.strip()]
     return " | ".join(kept[-lines:]) or "it printed nothing"
 

@@ -15,6 +15,7 @@ from pathlib import Path
 from tapping_cell.cli.check_config import check
 from tapping_cell.cli.deploy import add_name, agreed
 from tapping_cell.cli.deployment.archive import (
+    BEFORE,
     ArchiveError,
     read_archive,
     restore_file,
@@ -23,8 +24,6 @@ from tapping_cell.cli.deployment.archive import (
 )
 from tapping_cell.cli.deployment.places import Places
 from tapping_cell.cli.errors import ExitStatus, print_error
-
-BEFORE = "before_restore.zip"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -60,15 +59,15 @@ def run(arguments: argparse.Namespace) -> int:
     if not arguments.yes and not agreed():
         return ExitStatus.FAILED
     try:
-        places.state.mkdir(parents=True, exist_ok=True)
-        write_archive(places.state / BEFORE, places)
+        # Not in the home folder of the service, whose user could replace it by a link.
+        write_archive(places.configuration / BEFORE, places)
         # The cell file comes last, because it names the others.
         for name in sorted(changes, key=lambda name: name == "configuration/cell.yaml"):
             restore_file(changes[name], texts[name], places)
     except (ArchiveError, OSError) as error:
         print_error(f"{error}; restore again after the remedy")
         return ExitStatus.FAILED
-    print(f"restored; the earlier files are in {places.state / BEFORE}")
+    print(f"restored; the earlier files are in {places.configuration / BEFORE}")
     print(f"put into effect: systemctl restart {places.name}")
     return ExitStatus.DONE
 

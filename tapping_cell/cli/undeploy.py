@@ -1,7 +1,7 @@
 """Remove what ``deploy`` wrote: unit, device names, environment, and unchanged cell files.
 
 Files that were changed since, such as calibrations, and the state (runs, stops, learnt gains) are
-kept; --all removes them and the system user too.
+kept; --all removes them too, and the system user if deploy made it. It may be given later.
 
     python -m tapping_cell undeploy
 """
@@ -14,8 +14,16 @@ import os
 import shutil
 from pathlib import Path
 
-from tapping_cell.cli.deploy import add_name, agreed, available, digest, run_all
-from tapping_cell.cli.deployment.places import MANIFEST, Places
+from tapping_cell.cli.deploy import (
+    add_name,
+    agreed,
+    available,
+    digest_of,
+    run_all,
+    user_exists,
+    write_list,
+)
+from tapping_cell.cli.deployment.places import LEFT, MANIFEST, Places
 from tapping_cell.cli.errors import ExitStatus, print_error
 
 
@@ -35,27 +43,29 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the verb. Return 0 if all was removed, 1 if a step failed or was declined, 2 if nothing
     is deployed."""
     places = Places(arguments.name, arguments.root)
-    manifest = places.manifest()
+    manifest = places.known() if arguments.all else places.manifest()
     if manifest is None:
         print_error(
             f"no cell '{places.name}' is deployed: {places.configuration} has no {MANIFEST}"
         )
         return ExitStatus.REFUSED
     live = places.root == Path("/")
-    removed = [places.configuration / MANIFEST]
+    removed, left = [], {}
     for path, written in manifest["files"].items():
         place = places.root / path.lstrip("/")
-        if arguments.all or _is_unchanged(place, written):
+        if arguments.all or digest_of(place) == written:
             removed.append(place)
         elif place.exists():
+            left[path] = written
             print(f"keep   {place}: changed since it was deployed")
-    folders = [places.configuration, places.state, places.root / "var/log" / places.name]
+    folders = [places.state, places.root / "var/log" / places.name, places.configuration]
+    lists = [places.configuration / name for name in (MANIFEST, LEFT)]
     commands = available([["systemctl", "disable", "--now", places.unit]]) if live else []
     after = [["systemctl", "daemon-reload"], ["udevadm", "control", "--reload"]]
-    if arguments.all:
+    if arguments.all and manifest.get("user") is True and user_exists(places):
         after.append(["userdel", places.name])
     after = available(after) if live else []
-    for place in [*removed, *(folders if arguments.all else ())]:
+    for place in [*removed, *(folders if arguments.all else lists[:1])]:
         print(f"remove {place}")
     for command in [*commands, *after]:
         print(f"run    {' '.join(command)}")
@@ -68,13 +78,19 @@ def run(arguments: argparse.Namespace) -> int:
         return ExitStatus.FAILED
     status = run_all(commands)
     try:
-        # The list goes last, so that undeploy can be repeated after an error.
+        # The lists go last, so that undeploy can be repeated after an error.
         for place in reversed(removed):
             place.unlink(missing_ok=True)
         if arguments.all:
-            for folder in folders:
-                if folder.exists():
-                    shutil.rmtree(folder)
+            for folder in folders[:2]:
+                _remove(folder)
+        elif left or user_exists(places) or _anything_in(folders, lists):
+            write_list(places, LEFT, {"user": manifest.get("user") is True, "files": left})
+            lists.pop()
+        for place in lists:
+            place.unlink(missing_ok=True)
+        if arguments.all:
+            _remove(places.configuration)
     except OSError as error:
         print_error(f"{error.filename}: {error.strerror}")
         return ExitStatus.FAILED
@@ -84,9 +100,15 @@ def run(arguments: argparse.Namespace) -> int:
     return run_all(after) or status
 
 
-def _is_unchanged(place: Path, written: str) -> bool:
-    try:
-        text = os.readlink(place) if place.is_symlink() else place.read_text(encoding="utf-8")
-    except (OSError, ValueError):
-        return False
-    return digest(text) == written
+def _anything_in(folders: list[Path], lists: list[Path]) -> bool:
+    """Return whether files other than the lists are left, or a folder of state or logs."""
+    own = (path for path in folders[-1].rglob("*") if path not in lists and not path.is_dir())
+    return any(folder.exists() for folder in folders[:-1]) or any(own)
+
+
+def _remove(folder: Path) -> None:
+    """Remove a folder; of a symbolic link, only the link."""
+    if folder.is_symlink():
+        folder.unlink()
+    elif folder.exists():
+        shutil.rmtree(folder)

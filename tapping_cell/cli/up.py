@@ -291,6 +291,8 @@ class _Running:
         log."""
         if not self._page_log.exists():
             return
+        if self._page_log.stat().st_size < self._page_seen:
+            self._page_seen = 0  # logrotate has emptied the log
         text = self._page_log.read_bytes()[self._page_seen :].decode("utf-8", errors="replace")
         found = re.findall(r"operator page: (http\S+)", text)
         for url in found:

@@ -26,7 +26,8 @@ def notify(state: str) -> None:
         contextlib.suppress(OSError),
         socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK) as sender,
     ):
-        sender.sendto(state.encode(), address.replace("@", "\0", 1))
+        abstract = address.startswith("@")
+        sender.sendto(state.encode(), "\0" + address[1:] if abstract else address)
 
 
 class Notifications:

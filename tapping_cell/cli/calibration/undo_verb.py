@@ -1,7 +1,8 @@
 """Take back the last calibration that replaced a file.
 
 The last ten replaced contents of every calibrated file are kept, with the residual and date in
-them. --list shows them and changes nothing.
+them. --list shows them and changes nothing. What is taken back is kept too, as NAME.TIME.undone in
+the folder .history beside the file.
 
 python -m tapping_cell calibrate undo cell.yaml --list
 python -m tapping_cell calibrate undo cell.yaml
@@ -15,7 +16,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from tapping_cell.calibration.keep import earlier_files, undo
+from tapping_cell.calibration.keep import earlier_files, undo, undone_files
 from tapping_cell.cli.check_config import check
 from tapping_cell.cli.errors import ExitStatus
 from tapping_cell.configuration.schema import ConfigurationError, read_yaml
@@ -31,7 +32,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Run the sub-verb. Return the exit code."""
     path: Path = arguments.file.expanduser()
-    rows = [describe(one, path) for one in (path, *earlier_files(path)) if one.exists()]
+    contents = (path, *earlier_files(path), *undone_files(path))
+    rows = [describe(one, path) for one in contents if one.exists()]
     if arguments.list:
         if arguments.json:
             print(json.dumps({"contents": rows}, indent=2))
@@ -62,9 +64,10 @@ def describe(content: Path, path: Path) -> dict[str, str]:
         f"{record['by']} of {record['made']}, {record['residual_of']} {record['residual']:g}"
         for record in _records(document)
     )
-    replaced = content.name[len(path.name) + 1 :]
+    when = content.name[len(path.name) + 1 :]
+    state = f"taken back {when[:-7]}" if when.endswith(".undone") else f"replaced {when}"
     return {
-        "content": f"replaced {replaced}" if replaced else "present",
+        "content": state if when else "present",
         "owner": owner,
         "records": records or f"no calibration record, written by {owner}",
     }

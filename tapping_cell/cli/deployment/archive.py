@@ -12,15 +12,18 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from tapping_cell.calibration.keep import now
-from tapping_cell.cli.deployment.places import MANIFEST, Places
-from tapping_cell.durable_file import part_of, replace_text, sync_folder
+from tapping_cell.cli.deployment.inside import read_inside, write_inside
+from tapping_cell.cli.deployment.places import LEFT, MANIFEST, Places
+from tapping_cell.durable_file import part_of, sync_folder
 from tapping_cell.report.versions import versions
 
 CONTENT = "content.json"
 FORMAT = 1
 LARGEST = 64_000_000
 """Largest size in bytes of an unpacked archive."""
-OF_THE_COMPUTER = (MANIFEST, "cell.env")
+BEFORE = "before_restore.zip"
+"""Archive of the present files that ``restore`` replaced."""
+OF_THE_COMPUTER = (MANIFEST, LEFT, BEFORE, "cell.env")
 """Files of the configuration that belong to the computer, and are written by ``deploy``."""
 NAMED_GOALS = "named_goals.json"
 
@@ -29,27 +32,30 @@ class ArchiveError(ValueError):
     """The archive cannot be read or restored. The message states the reason."""
 
 
-def collected(places: Places) -> dict[str, Path]:
-    """Return the text files of a deployed cell that belong into an archive, by name in it.
+def collected(places: Places) -> dict[str, bytes]:
+    """Return the contents of the text files of a deployed cell that belong into an archive, by name
+    in it.
 
     Runs are too large. Stops, goals under way and the numbers of shots must never be set back.
+    Symbolic links are left out: they could lead to any file of the computer.
     """
-    found: dict[str, Path] = {}
-    for folder, root, pattern in (
-        ("configuration", places.configuration, "*"),
-        ("gains", places.gains, "*.json"),
-        ("records", places.records, NAMED_GOALS),
+    found: dict[str, bytes] = {}
+    for folder, root, base, pattern in (
+        ("configuration", places.configuration, places.configuration, "*"),
+        ("gains", places.gains, places.state, "*.json"),
+        ("records", places.records, places.state, NAMED_GOALS),
     ):
         for file in sorted(root.rglob(pattern)):
-            inside = file.relative_to(root)
-            if file.is_file() and str(inside) not in OF_THE_COMPUTER and _is_text(file):
-                found[f"{folder}/{inside.as_posix()}"] = file
+            inside = file.relative_to(root).as_posix()
+            data = None if inside in OF_THE_COMPUTER else read_inside(file, base)
+            if data is not None and _is_text(data):
+                found[f"{folder}/{inside}"] = data
     return found
 
 
-def _is_text(file: Path) -> bool:
+def _is_text(data: bytes) -> bool:
     try:
-        file.read_text(encoding="utf-8")
+        data.decode("utf-8")
     except UnicodeDecodeError:
         return False
     return True
@@ -62,7 +68,7 @@ def write_archive(path: Path, places: Places) -> int:
         ArchiveError: there is nothing to archive.
         OSError: a file cannot be read or written.
     """
-    contents = {name: file.read_bytes() for name, file in collected(places).items()}
+    contents = collected(places)
     if "configuration/cell.yaml" not in contents:
         raise ArchiveError(f"{places.cell_file} is missing: no cell '{places.name}' is deployed")
     content = {
@@ -74,7 +80,9 @@ def write_archive(path: Path, places: Places) -> int:
         "files": {name: hashlib.sha256(data).hexdigest() for name, data in contents.items()},
     }
     part = part_of(path)
-    with part.open("wb") as stream:
+    part.unlink(missing_ok=True)
+    # A new file: a link that another user has put there is not followed.
+    with part.open("xb") as stream:
         with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
             archive.writestr(CONTENT, json.dumps(content, indent=2))
             for name, data in contents.items():
@@ -114,6 +122,8 @@ def read_archive(path: Path) -> tuple[dict[str, Any], dict[str, str]]:
                     f"{path} has the format {content['format']}, but this version reads {FORMAT}: "
                     f"use version {content['versions']['tapping_cell']}"
                 )
+            if not all(isinstance(content.get(key), str) for key in ("name", "made", "options")):
+                raise ArchiveError(f"{path} does not state its cell, date and options")
             texts: dict[str, str] = {}
             for name, digest in content["files"].items():
                 data = archive.read(name)
@@ -142,9 +152,16 @@ def read_archive(path: Path) -> tuple[dict[str, Any], dict[str, str]]:
 
 
 def _is_allowed(name: str) -> bool:
-    parts = PurePosixPath(name).parts
-    inside = len(parts) > 1 and ".." not in parts and not name.startswith("/") and "\\" not in name
-    if not inside or "/".join(parts[1:]) in OF_THE_COMPUTER:
+    # Written in any other way, such as with "//", a name could lead out of its folder.
+    plain = PurePosixPath(name)
+    parts = plain.parts
+    inside = len(parts) > 1 and ".." not in parts and "\\" not in name
+    if (
+        name != str(plain)
+        or plain.is_absolute()
+        or not inside
+        or "/".join(parts[1:]) in OF_THE_COMPUTER
+    ):
         return False
     return parts[0] in ("configuration", "gains") or (
         parts[0] == "records" and parts[-1] == NAMED_GOALS
@@ -159,18 +176,17 @@ def target(name: str, places: Places) -> Path:
 
 
 def restore_file(path: Path, text: str, places: Places) -> None:
-    """Replace a file. What is made in the home folder of the service belongs to its user.
+    """Replace a file. What is made in the home folder of the service belongs to its user, who could
+    put links there.
 
     Raises:
-        OSError: the file cannot be written.
+        OSError: the file cannot be written, or a symbolic link is in the place of its folder.
     """
-    made = [path, *(folder for folder in path.parents if not folder.exists())]
-    path.parent.mkdir(parents=True, exist_ok=True)
-    replace_text(path, text)
-    if path.is_relative_to(places.state) and places.state.exists() and os.geteuid() == 0:
-        owner = places.state.stat()
-        for one in made:
-            if one != places.state:
-                os.chown(one, owner.st_uid, owner.st_gid)
-    else:
-        path.chmod(0o644)
+    if not path.is_relative_to(places.state):
+        write_inside(path, places.configuration, text, None, 0o644)
+        return
+    owner = None
+    if places.state.exists() and os.geteuid() == 0:
+        found = places.state.stat()
+        owner = found.st_uid, found.st_gid
+    write_inside(path, places.state, text, owner, None)

@@ -10,6 +10,8 @@ from typing import Any
 
 DEFAULT_NAME = "tapping_cell"
 MANIFEST = "deployed.json"
+LEFT = "undeployed.json"
+"""List of what ``undeploy`` left, so that the cell can be deployed again."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,8 +58,19 @@ class Places:
 
     def manifest(self) -> dict[str, Any] | None:
         """Return the list of the files that ``deploy`` wrote; None if nothing is deployed."""
+        return self._list(MANIFEST)
+
+    def left(self) -> dict[str, Any] | None:
+        """Return the list of what ``undeploy`` left; None if it left nothing."""
+        return self._list(LEFT)
+
+    def known(self) -> dict[str, Any] | None:
+        """Return the list of what ``deploy`` wrote, or of what ``undeploy`` left of it."""
+        return self.manifest() or self.left()
+
+    def _list(self, name: str) -> dict[str, Any] | None:
         try:
-            found = json.loads((self.configuration / MANIFEST).read_text(encoding="utf-8"))
+            found = json.loads((self.configuration / name).read_text(encoding="utf-8"))
         except (OSError, ValueError):
             return None
         return found if isinstance(found, dict) and isinstance(found.get("files"), dict) else None

@@ -21,6 +21,7 @@ from tapping_cell.calibration.keep import (
     now,
     refuse_existing,
     undo,
+    undone_files,
     write_kept,
 )
 from tapping_cell.configuration.provenance import Provenance, provenance_yaml, read_provenance
@@ -164,3 +165,17 @@ def test_an_earlier_content_that_is_damaged_is_not_restored(tmp_path: Path) -> N
     with pytest.raises(ConfigurationError):
         undo(path, read_provenance)
     assert read_provenance(path) == OLD and len(earlier_files(path)) == 1
+
+
+def test_undo_twice_loses_nothing_and_keeps_the_rights(tmp_path: Path) -> None:
+    path = tmp_path / "a.yaml"
+    for number in range(3):
+        write(Output(path, force=True), replace(OLD, observations=number))
+        path.chmod(0o640)
+    for _ in range(2):
+        undo(path, read_provenance)
+        assert path.stat().st_mode & 0o777 == 0o640
+    found = [read_provenance(one) for one in undone_files(path)]
+    assert [one and one.observations for one in found] == [1, 2]
+    write(Output(path, force=True), OLD)
+    assert path.stat().st_mode & 0o777 == 0o640

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import zipfile
 from pathlib import Path
 
@@ -56,10 +57,11 @@ def test_a_backup_is_restored_on_another_computer(places: Places, tmp_path: Path
     assert sorted(contents(other.state)) == [
         ".local/state/tapping_cell/gains/domain0/disk.json",
         ".ros/tapping_cell/domain0/named_goals.json",
-        "before_restore.zip",
     ], "no stop and no goal is restored"
     # The present state was archived, and can be restored in its turn.
-    assert verb("restore", other.root, str(other.state / "before_restore.zip"), "--yes") == 0
+    assert (
+        verb("restore", other.root, str(other.configuration / "before_restore.zip"), "--yes") == 0
+    )
     assert not (other.configuration / "table.yaml").read_text().endswith("# calibrated\n")
 
 
@@ -90,7 +92,9 @@ def test_a_wrong_configuration_is_not_restored(places: Places, tmp_path: Path, c
 @pytest.mark.parametrize(
     "name",
     ["../passwd", "/etc/passwd", "configuration/../../x", "records/d/stop-scara_arm.json",
-     "configuration/cell.env", "configuration/deployed.json", "other/x", "records/d/goal.json"],
+     "configuration/cell.env", "configuration/deployed.json", "gains//etc/cron.d/x",
+     "configuration/./cell.env", "configuration//cell.env",
+     "gains/", "other/x", "records/d/goal.json"],
 )  # fmt: skip
 def test_a_foreign_path_is_refused(places: Places, tmp_path: Path, name: str) -> None:
     archive = tmp_path / "a.zip"
@@ -131,3 +135,50 @@ def test_a_damaged_archive_is_refused_or_unchanged(places: Places, tmp_path: Pat
 def test_a_backup_without_a_cell_is_refused(tmp_path: Path) -> None:
     assert verb("backup", tmp_path, str(tmp_path / "a.zip")) == 2
     assert not (tmp_path / "a.zip").exists()
+
+
+def test_a_link_is_neither_archived_nor_followed(places: Places, tmp_path: Path) -> None:
+    archive, secret = tmp_path / "a.zip", tmp_path / "shadow.json"
+    secret.write_text("{}")
+    elsewhere = tmp_path / "elsewhere"
+    (elsewhere / "domain0").mkdir(parents=True)
+    (elsewhere / "domain0/secret.json").write_text("{}")
+    assert verb("backup", places.root, str(archive)) == 0
+    gain = places.gains / "domain0/disk.json"
+    for link in (gain.with_name("more.json"), places.configuration / "more.yaml"):
+        link.symlink_to(secret)
+    assert verb("backup", places.root, str(tmp_path / "b.zip")) == 0
+    assert not [name for name in read_archive(tmp_path / "b.zip")[1] if "more" in name]
+    # The names that restore writes are predictable.
+    gain.unlink()
+    gain.symlink_to(secret)
+    gain.with_name(".disk.json.part").symlink_to(secret)
+    assert verb("restore", places.root, str(archive), "--yes") == 0
+    assert secret.read_text() == "{}" and not gain.is_symlink()
+    assert gain.read_text() == '{"object": "disk"}'
+    shutil.rmtree(places.gains)
+    places.gains.symlink_to(elsewhere)
+    before = contents(elsewhere)
+    assert verb("restore", places.root, str(archive), "--yes") == 1
+    assert contents(elsewhere) == before
+    assert verb("backup", places.root, str(tmp_path / "c.zip")) == 0
+    assert not [name for name in read_archive(tmp_path / "c.zip")[1] if "gains" in name]
+
+
+@pytest.mark.parametrize("key", ["name", "made", "options", "format", "versions"])
+def test_an_archive_without_a_statement_is_refused(
+    places: Places, tmp_path: Path, key: str
+) -> None:
+    archive = tmp_path / "a.zip"
+    assert verb("backup", places.root, str(archive)) == 0
+    with zipfile.ZipFile(archive) as old:
+        texts = {entry: old.read(entry) for entry in old.namelist()}
+    content = json.loads(texts["content.json"])
+    del content[key]
+    content["format"] = content.get("format", 1) + (key == "versions")
+    if key == "format":
+        del content["format"]
+    with zipfile.ZipFile(archive, "w") as new:
+        for entry, text in {**texts, "content.json": json.dumps(content)}.items():
+            new.writestr(entry, text)
+    assert verb("restore", places.root, str(archive), "--yes") == 2

@@ -37,6 +37,25 @@ def test_a_bundle_of_a_deployed_cell(tmp_path: Path) -> None:
     assert json.loads(texts["state.json"])["computer"]["disk_free_mb"] > 0
 
 
+def test_a_bundle_follows_no_link(tmp_path: Path) -> None:
+    places = Places(root=tmp_path / "root")
+    assert main(["deploy", "--root", str(places.root), "--yes"]) == 0
+    (tmp_path / "shadow").write_text("root:hash")
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "folder/summary.json").write_text("root:hash")
+    logs = places.root / "var/log/tapping_cell"
+    for folder in (logs, places.runs / "a"):
+        folder.mkdir(parents=True)
+    (logs / "a.log").symlink_to(tmp_path / "shadow")
+    (places.runs / "a/summary.json").symlink_to(tmp_path / "shadow")
+    (places.runs / "b").symlink_to(tmp_path / "folder")
+    (places.configuration / "c.yaml").symlink_to(tmp_path / "shadow")
+    file = tmp_path / "support.zip"
+    assert main(["bundle", str(file), "--root", str(places.root)]) == 0
+    with zipfile.ZipFile(file) as bundle:
+        assert not any(b"hash" in bundle.read(name) for name in bundle.namelist())
+
+
 def test_a_bundle_without_a_deployed_cell(tmp_path: Path) -> None:
     file = tmp_path / "support.zip"
     assert main(["bundle", str(file), "--root", str(tmp_path), "--runs", str(tmp_path)]) == 0

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import json
+import os
 import shutil
 import subprocess
 from pathlib import Path
 
 import pytest
 
-from tapping_cell.calibration.keep import keep_earlier
+from tapping_cell.calibration.keep import earlier_files, keep_earlier
 from tapping_cell.cli import main
-from tapping_cell.cli.deployment.adapters import adapter_of
+from tapping_cell.cli.deployment.adapters import Adapter, adapter_of
 from tapping_cell.cli.deployment.cell_copy import copied_cell
 from tapping_cell.cli.deployment.service import escaped
 from tapping_cell.configuration.cell import load_cell, load_further_objects
@@ -51,11 +53,134 @@ def test_a_calibrated_file_survives_deploy_and_undeploy(tmp_path: Path) -> None:
     assert deploy(tmp_path) == 0
     assert main(["undeploy", "--root", str(tmp_path), "--yes"]) == 0
     assert table.read_text() == calibrated
-    assert files_of(tmp_path) == {"etc/tapping_cell/table.yaml"}
+    configuration = "etc/tapping_cell"
+    left = {f"{configuration}/table.yaml", f"{configuration}/undeployed.json"}
+    assert files_of(tmp_path) == left
     assert deploy(tmp_path) == 0 and table.read_text() == calibrated
     (tmp_path / "var/lib/tapping_cell/runs").mkdir(parents=True)
     assert main(["undeploy", "--root", str(tmp_path), "--all", "--yes"]) == 0
     assert files_of(tmp_path) == set() and not (tmp_path / "var/lib/tapping_cell").exists()
+
+
+@pytest.mark.parametrize(
+    ("path", "text"),
+    [
+        ("etc/passwd", "root:x:0:0::/root:/bin/sh\nother:x:1000:1000::/home/other:/bin/sh\n"),
+        ("etc/group", "other:x:27:\n"),
+        ("etc/other/settings", "x"),
+        ("var/lib/other/data", "x"),
+        ("usr/lib/systemd/system/other.service", "x"),
+        ("etc/logrotate.d/other", "x"),
+    ],
+)
+def test_what_is_not_of_deploy_is_not_taken_over(tmp_path: Path, path: str, text: str) -> None:
+    place = tmp_path / path
+    place.parent.mkdir(parents=True)
+    place.write_text(text)
+    assert deploy(tmp_path, "--name", "other") == 2
+    assert files_of(tmp_path) == {path} and place.read_text() == text
+    assert deploy(tmp_path) == 0, "under another name, it can be deployed"
+
+
+def test_the_user_belongs_to_deploy_and_everything_can_be_removed_later(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert deploy(tmp_path) == 0
+    manifest = tmp_path / "etc/tapping_cell/deployed.json"
+    assert json.loads(manifest.read_text())["user"] is True
+    elsewhere = tmp_path / "disk"
+    elsewhere.mkdir()
+    (elsewhere / "run").write_text("x")
+    state = tmp_path / "var/lib/tapping_cell"
+    state.parent.mkdir(parents=True)
+    state.symlink_to(elsewhere)
+    assert main(["undeploy", "--root", str(tmp_path), "--yes"]) == 0
+    assert deploy(tmp_path) == 0 and json.loads(manifest.read_text())["user"] is True
+    assert main(["undeploy", "--root", str(tmp_path), "--yes"]) == 0
+    assert main(["undeploy", "--root", str(tmp_path), "--all", "--yes"]) == 0
+    assert files_of(tmp_path) == {"disk/run"}
+
+
+def own_cell(folder: Path) -> Path:
+    """Copy the package's configuration as that of a cell of another name."""
+    shutil.copytree(shared_folder(), folder)
+    cell = folder / "cell.yaml"
+    cell.write_text(cell.read_text().replace("name: tapping cell", "name: mine"))
+    return cell
+
+
+def test_another_cell_replaces_the_deployed_one_and_keeps_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    root, cell = tmp_path / "root", own_cell(tmp_path / "config")
+    assert deploy(root) == 0
+    deployed = root / "etc/tapping_cell/cell.yaml"
+    first = deployed.read_text()
+    assert deploy(root, "--cell", str(cell)) == 0
+    assert "name: mine" in deployed.read_text()
+    assert "cell.yaml differs from this cell" in capsys.readouterr().out
+    (earlier,) = earlier_files(deployed)
+    assert earlier.read_text() == first
+    # The same cell again, with other options: what was calibrated since stays.
+    deployed.write_text(deployed.read_text() + "# calibrated\n")
+    assert deploy(root, "--cell", str(cell), "--page") == 0
+    assert deployed.read_text().endswith("# calibrated\n")
+    assert deploy(root) == 0 and deployed.read_text().endswith("# calibrated\n")
+
+
+def test_a_file_that_was_changed_by_hand_is_kept_beside_the_new_one(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert deploy(tmp_path) == 0
+    for path in ("etc/tapping_cell/cell.env", "etc/systemd/system/tapping_cell.service"):
+        place = tmp_path / path
+        text = place.read_text()
+        place.write_text(text + "# by hand\n")
+        assert deploy(tmp_path) == 0
+        assert place.read_text() == text
+        assert f"/{path} was changed" in capsys.readouterr().out
+        (kept,) = (tmp_path / "etc/tapping_cell/.history").glob(f"{place.name}.*Z")
+        assert kept.read_text().endswith("# by hand\n")
+    assert deploy(tmp_path) == 0 and "replace" not in capsys.readouterr().out
+
+
+def test_every_user_may_read_what_is_deployed(tmp_path: Path) -> None:
+    before = os.umask(0o077)
+    try:
+        assert deploy(tmp_path / "root") == 0
+    finally:
+        os.umask(before)
+    for path in (tmp_path / "root").rglob("*"):
+        if not path.is_symlink():
+            assert path.stat().st_mode & 0o777 == (0o755 if path.is_dir() else 0o644), path
+
+
+def test_adapters_with_the_same_serial_number_are_known_by_their_sockets(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without adapters, the next deployment removes their names."""
+    cell = own_cell(tmp_path / "config")
+    cell.write_text(cell.read_text().replace("~/.ros/tapping_cell/{cell}/", "/dev/none/"))
+    root = tmp_path / "root"
+    sockets = {"arm": "1-1", "tapper": "1-2", "video0": "1-3"}
+
+    def found(port: Path) -> Adapter:
+        kind = "video4linux" if port.name == "video0" else "tty"
+        return Adapter(kind, "1a86", "7523", "0001" * (kind == "tty"), sockets[port.name], "00")
+
+    monkeypatch.setattr("tapping_cell.cli.deploy.adapter_of", found)
+    assert deploy(root, "--page") == 0, "the simulated cell of the how-to comes first"
+    assert deploy(root, "--hardware", "--cell", str(cell)) == 0
+    rules = root / "etc/udev/rules.d/70-tapping_cell.rules"
+    assert "/dev/tapping_cell/arm" in (root / "etc/tapping_cell/cell.yaml").read_text()
+    text = rules.read_text()
+    assert "ATTRS{serial}" not in text
+    assert all(f'KERNELS=="{socket}"' in text for socket in sockets.values())
+    monkeypatch.setattr("tapping_cell.cli.deploy.adapter_of", lambda port: None)
+    assert deploy(root, "--hardware", "--cell", str(cell)) == 0
+    assert not rules.exists()
+    assert main(["undeploy", "--root", str(root), "--all", "--yes"]) == 0
+    assert files_of(root) == set()
 
 
 def test_two_cells_share_nothing(tmp_path: Path) -> None:

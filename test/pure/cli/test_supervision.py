@@ -5,10 +5,11 @@ from __future__ import annotations
 
 import os
 import socket
+from pathlib import Path
 
 import pytest
 
-from tapping_cell.cli.graph import Ended, NodeDied
+from tapping_cell.cli.graph import Ended, NodeDied, last_output
 from tapping_cell.cli.supervision import DELAY_S, HUNG_S, MAX_RESTARTS, WINDOW_S, Supervisor
 from tapping_cell.nodes.service_manager import ALIVE, SOCKET_VARIABLE, Notifications, notify
 
@@ -120,3 +121,22 @@ def test_only_the_sender_of_a_report_counts_as_alive(monkeypatch: pytest.MonkeyP
         monkeypatch.setenv(SOCKET_VARIABLE, "@" + full.getsockname()[1:].decode())
         for _ in range(1000):
             notify(ALIVE)  # nobody reads: it does not block
+
+
+def test_only_the_first_character_makes_an_address_abstract(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    address = str(tmp_path / "user@1000")
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
+        manager.bind(address)
+        manager.settimeout(1.0)
+        monkeypatch.setenv(SOCKET_VARIABLE, address)
+        notify(ALIVE)
+        assert manager.recv(100) == ALIVE.encode()
+
+
+def test_the_output_is_found_in_a_log_that_was_emptied(tmp_path: Path) -> None:
+    log = tmp_path / "a.log"
+    log.write_text("old\nnew\n")
+    assert last_output(log, 4) == "new"
+    assert last_output(log, 1000) == "old | new"
