@@ -221,7 +221,10 @@ def planned(
     arguments: argparse.Namespace, cell: Cell, places: Places, domain: int
 ) -> tuple[list[PlannedFile], list[str]]:
     """Return the files of a deployment, and remarks on it."""
-    name, remarks = places.name, []
+    name = places.name
+    remarks = [
+        f"old runs in /var/lib/{name}/runs are deleted while less than 20 % of the disk is free"
+    ]
     configuration = Path("/etc") / name
     options = [
         *("--cell", str(configuration / "cell.yaml"), "--wait", "3600"),

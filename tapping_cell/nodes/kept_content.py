@@ -11,8 +11,9 @@ from typing import Any
 from tapping_cell.durable_file import part_of, replace_text
 from tapping_cell.logic.effects import Content
 
-BOOT = "boot"
-"""Key of the start of the computer in which the content was stored."""
+BOOT = "\nboot"
+"""Key of the start of the computer in which the content was stored. It is not printable, so no name
+of a goal is equal to it."""
 
 
 def boot_id() -> str:

@@ -11,6 +11,7 @@ such a file, and :func:`recover` (or ``mcap recover``) repairs it.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import struct
 from collections.abc import Iterator, Mapping
@@ -295,6 +296,19 @@ def read_bag(path: Path) -> Bag:
         missing = f"{file} is damaged after {len(messages)} messages: {error}"
     messages.sort(key=lambda message: message.stamp)
     return Bag(file, tuple(messages), missing, _store_of(schemas, file))
+
+
+def first_topics(file: Path) -> set[str]:
+    """Return the names of the topics that an MCAP file states before its first message. The set is
+    empty if there is no such file, or if its start is damaged."""
+    names: set[str] = set()
+    with contextlib.suppress(OSError, BagError, *_DAMAGED), file.open("rb") as stream:
+        for kind, body in _records(stream, file):
+            if kind == _MESSAGE:
+                break
+            if kind == _CHANNEL:
+                names.add(_text(body, 4)[0])
+    return names
 
 
 def recover(path: Path, target: Path) -> Bag:

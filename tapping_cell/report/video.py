@@ -21,6 +21,8 @@ HEIGHT, WIDTH, FOOT = 384, 480, 32
 """Height and width of the drawing, of the camera image beside it, and height of the caption."""
 RATES = {".mp4": 12.5, ".gif": 10.0}
 """Images per second of each kind of file."""
+LONGEST_GIF_S = 60.0
+"""Maximum length of a GIF: all its images are in memory until it is written, 4 MB per second."""
 CODECS = ("vp09", "avc1", "mp4v")
 """Codecs in the order in which they are tried. Browsers do not play the last one."""
 _FINE = 4
@@ -36,7 +38,8 @@ def write_video(path: Path, illustrated: IllustratedRun) -> float:
     """Write the video of a run and return its length in s.
 
     Raises:
-        VideoError: the kind of file is unknown, there is nothing to show, or OpenCV has no codec.
+        VideoError: the kind of file is unknown, there is nothing to show, the run is too long for a
+            GIF, or OpenCV has no codec.
         OSError: the file cannot be written.
     """
     if path.suffix not in RATES:
@@ -44,9 +47,18 @@ def write_video(path: Path, illustrated: IllustratedRun) -> float:
     film = _Film(illustrated)
     if not film.tracks:
         raise VideoError("the run has no recorded pose of an object, so there is no video")
-    path.parent.mkdir(parents=True, exist_ok=True)
     rate = RATES[path.suffix]
-    (_write_gif if path.suffix == ".gif" else _write_mp4)(path, film.frames(rate), rate)
+    if path.suffix == ".gif":
+        if film.length > LONGEST_GIF_S:
+            raise VideoError(
+                f"the run takes {film.length:.0f} s, and a GIF at most {LONGEST_GIF_S:.0f} s; "
+                f"write {path.with_suffix('.mp4')}"
+            )
+        path.parent.mkdir(parents=True, exist_ok=True)
+        _write_gif(path, film, rate)
+    else:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        _write_mp4(path, film.frames(rate), rate)
     return film.length
 
 
@@ -63,12 +75,14 @@ def _write_mp4(path: Path, frames: Iterator[Pixels], rate: float) -> None:
     writer.release()
 
 
-def _write_gif(path: Path, frames: Iterator[Pixels], rate: float) -> None:
+def _write_gif(path: Path, film: _Film, rate: float) -> None:
     # One palette for all images: only what moves differs from image to image.
-    images = [Image.fromarray(frame[:, :, ::-1]) for frame in frames]
-    palette = images[len(images) // 2].quantize(64)
-    coded = [each.quantize(palette=palette, dither=Image.Dither.NONE) for each in images]
-    coded[0].save(path, save_all=True, append_images=coded[1:], duration=1000 / rate, loop=0)
+    palette = Image.fromarray(film.frame(film.length / 2)[:, :, ::-1]).quantize(64)
+    coded = (
+        Image.fromarray(frame[:, :, ::-1]).quantize(palette=palette, dither=Image.Dither.NONE)
+        for frame in film.frames(rate)
+    )
+    next(coded).save(path, save_all=True, append_images=coded, duration=1000 / rate, loop=0)
 
 
 class _Film:
@@ -95,9 +109,10 @@ class _Film:
     def frames(self, rate: float) -> Iterator[Pixels]:
         """Return the images at a rate in Hz, BGR."""
         for number in range(math.ceil(self.length * rate) + 1):
-            yield self._frame(number / rate)
+            yield self.frame(number / rate)
 
-    def _frame(self, time: float) -> Pixels:
+    def frame(self, time: float) -> Pixels:
+        """Return the image at a time in s, BGR."""
         plan = self._ground.copy()
         started = [slide for slide in slides(self._run) if slide[1] - LEAD_S <= time]
         if started:

@@ -24,6 +24,13 @@ def test_stored_content_is_loaded_and_removed(tmp_path: Path) -> None:
     assert kept.recall() is None
 
 
+def test_a_goal_of_any_name_is_stored(tmp_path: Path) -> None:
+    kept = KeptContent(tmp_path / "named_goals.json")
+    kept.keep({"boot": [0.01, 0.02, 0.3]})
+    assert kept.recall() == {"boot": [0.01, 0.02, 0.3]} and not kept.is_of_earlier_boot()
+    assert not kept_content.BOOT.isprintable()
+
+
 @pytest.mark.parametrize("text", ["", "[" * 200_000, "[]", "7", "\x00", '{"goal": ' * 100_000])
 def test_an_unreadable_file_gives_empty_content(tmp_path: Path, text: str) -> None:
     file = tmp_path / "goal.json"

@@ -499,6 +499,8 @@ def test_a_recorder_that_cannot_write_reports_it_and_continues(
 ) -> None:
     if parameters.get("folder") == "FULL":
         (tmp_path / "runs" / "old").mkdir(parents=True)
+        summary = tmp_path / "runs" / "old" / "summary.json"
+        summary.write_text('{"outcome": "reached", "began": 1.0}')
         parameters = {**parameters, "folder": tmp_path / "runs"}
     with cell(tmp_path, **parameters) as fake:
         fake.follow(fake.goal())

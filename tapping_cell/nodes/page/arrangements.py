@@ -52,6 +52,8 @@ class Arrangements:
         self._states: dict[str, ObjectState] = {}
         self._unknown = 0
         self._progress = ArrangementState()
+        self._copied: dict[str, Pose] | None = None
+        """Goals of the arrangement under way, which are among the drafts since it began."""
         self.drafts: dict[str, Pose] | None = None
         """Goals that the operator has placed, by object; None until a page has placed one."""
 
@@ -145,10 +147,12 @@ class Arrangements:
         self._unknown = len(message.unknown_objects)
 
     def _on_progress(self, message: ArrangementState) -> None:
-        if message.active and not self.active:
-            # Pages show the goals of an arrangement, whoever sent it.
-            goals = {o.object_id: from_message(o.goal_pose) for o in message.objects if o.has_goal}
+        goals = {o.object_id: from_message(o.goal_pose) for o in message.objects if o.has_goal}
+        if message.active and not self.active and goals != self._copied:
+            # Pages show the goals of an arrangement, whoever sent it. A page that is opened again
+            # during the arrangement keeps the goals placed since it began.
             self.drafts = {**(self.drafts or {}), **goals}
+        self._copied = goals if message.active else None
         self._progress = message
 
     def _object_row(self, name: str, drawing: Drawing) -> dict[str, object]:

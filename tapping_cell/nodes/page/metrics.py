@@ -102,6 +102,8 @@ class Metrics:
             if not status.name.startswith(self._prefix) or status.level not in LEVELS:
                 continue
             node = status.name[len(self._prefix) :]
+            if "/" in node:  # of another cell, whose namespace begins with this one
+                continue
             if self._is_counted(node, ""):
                 self._level.labels(node).set(status.level[0])
                 self._seen.labels(node).set(time.time())

@@ -16,6 +16,7 @@ from tapping_cell_msgs.msg import ArrangementState, GoalReport, PlanState
 
 from tapping_cell.configuration.cell import Cell, cells_of
 from tapping_cell.logic.planner_states import WORKING_STATES
+from tapping_cell.nodes.recorder.retention import count_runs
 from tapping_cell.planning.prescribed import METHOD as PRESCRIBED
 from tapping_cell.report.bag import BagError, BagWriter, Quality
 from tapping_cell.report.message_files import UnknownMessageType
@@ -66,10 +67,11 @@ def new_folder(
     try:
         parent.mkdir(parents=True, exist_ok=True)
         check_disk_space(parent, least_free)
-        runs = sum(1 for entry in parent.iterdir() if entry.is_dir())
-        if runs >= most_runs:
+        # Usually there are few folders, and none has to be opened.
+        folders = sum(1 for entry in parent.iterdir() if entry.is_dir())
+        if folders >= most_runs and (runs := count_runs(parent)) >= most_runs:
             raise CannotRecord(
-                f"{parent} holds {runs} folders and most_runs is {most_runs}; nothing is "
+                f"{parent} holds {runs} runs and most_runs is {most_runs}; nothing is "
                 "deleted without keep_free: move old runs away, or raise most_runs"
             )
         for number in range(1, most_runs + 2):

@@ -8,20 +8,52 @@ import os
 import shutil
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from tapping_cell.nodes.recorder.run_names import is_run_name
+from tapping_cell.report.bag import first_topics
+from tapping_cell.report.run_reader import NOTES
 
 STARRED = "starred"
 """A run folder with a file of this name is never deleted."""
 NEWEST = 10
 """Number of the newest runs that are never deleted."""
+MOST_DELETED = 20
+"""Maximum number of runs that are deleted at once."""
+MOST_USELESS = 3
+"""Number of deletions without more free space after which none is made for the sake of space:
+another program fills the disk, or its file system frees space later."""
+BAG_FILE = "bag/bag.mcap"
 REFUSALS = "refused_goals.jsonl"
 LONGEST_LIST = 1_000_000
 """Size in bytes at which the list of refused goals is renamed, replacing the previous one."""
 DAY_S = 86_400.0
 _DELETED = ".deleted-"
+
+
+@dataclass(slots=True)
+class Deletion:
+    """What was deleted, and what was not."""
+
+    deleted: list[str] = field(default_factory=list)
+    """Names of the deleted runs."""
+    failed: list[str] = field(default_factory=list)
+    """Names of the folders that could not be deleted, with the reason."""
+    useless: bool = False
+    """Whether the deletions did not free the disk, so that they were stopped."""
+
+    def remove(self, folder: Path) -> bool:
+        """Remove a folder that was renamed for its deletion; return whether it is gone. A symbolic
+        link is not followed."""
+        if folder.is_symlink() or not folder.is_dir():
+            return False
+        try:
+            shutil.rmtree(folder)
+        except OSError as error:
+            self.failed.append(f"{folder.name} ({error.strerror})")
+            return False
+        return True
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,35 +72,51 @@ class Retention:
         """Whether runs are deleted."""
         return self.free_share > 0 or self.days > 0
 
-    def apply(self, parent: Path, free: Callable[[Path], float] | None = None) -> list[str]:
-        """Delete runs until the rules are satisfied, and return their names: the oldest first,
-        those that did not reach their goal after all others. Starred and the newest runs stay.
+    def apply(self, parent: Path, free: Callable[[Path], float] | None = None) -> Deletion:
+        """Delete runs until the rules are satisfied: the oldest first, those that did not reach
+        their goal after all others. Starred and the newest runs stay. What cannot be deleted is
+        skipped.
 
         Raises:
-            OSError: the folder cannot be read, or a run cannot be deleted.
+            OSError: the folder cannot be read.
         """
+        done = Deletion()
         if not self.deletes or not parent.is_dir():
-            return []
+            return done
         free = free or free_share
         for rest in parent.glob(_DELETED + "*"):
-            shutil.rmtree(rest)
+            done.remove(rest)
         runs = sorted(_runs(parent), reverse=True)
         candidates = sorted(
             (not reached, changed, folder)
             for changed, folder, reached in runs[NEWEST:]
             if not (folder / STARRED).exists()
         )
-        count, deleted = len(runs), []
+        count, attempts, useless = len(runs), 0, 0
         for _, changed, folder in candidates:
+            if attempts >= MOST_DELETED:
+                break
+            before = free(parent)
             old = self.days > 0 and time.time() - changed > self.days * DAY_S
-            if old or count >= self.most or free(parent) < self.free_share:
-                # A crash leaves no half of a run behind.
-                away = folder.with_name(_DELETED + folder.name)
+            surplus = count >= self.most
+            full = before < self.free_share and not done.useless
+            if not (old or surplus or full):
+                continue
+            attempts += 1
+            # A crash leaves no half of a run behind.
+            away = folder.with_name(_DELETED + folder.name)
+            try:
                 folder.rename(away)
-                shutil.rmtree(away)
-                deleted.append(folder.name)
-                count -= 1
-        return deleted
+            except OSError as error:
+                done.failed.append(f"{folder.name} ({error.strerror})")
+                continue
+            count -= 1
+            if done.remove(away):
+                done.deleted.append(folder.name)
+            if full and free(parent) <= before:
+                useless += 1
+                done.useless = useless >= MOST_USELESS
+        return done
 
 
 def free_share(folder: Path) -> float:
@@ -77,9 +125,14 @@ def free_share(folder: Path) -> float:
     return usage.free / usage.total
 
 
+def count_runs(parent: Path) -> int:
+    """Return the number of runs in a folder. Raises OSError."""
+    return sum(1 for _ in _runs(parent))
+
+
 def _runs(parent: Path) -> Iterator[tuple[float, Path, bool]]:
-    """Return time, folder and success of each run. A power cut leaves a bag without a summary; a
-    folder with neither is no run."""
+    """Return time, folder and success of each run. A run has a summary or a bag of the recorder: a
+    power cut leaves a bag without a summary. Any other folder is no run, whatever its name."""
     with os.scandir(parent) as entries:
         for entry in entries:
             folder = Path(entry.path)
@@ -87,12 +140,15 @@ def _runs(parent: Path) -> Iterator[tuple[float, Path, bool]]:
                 continue
             summary = folder / "summary.json"
             with contextlib.suppress(OSError):
-                if summary.exists():
-                    # The outcome is among the first keys. The whole file may be large.
+                start = ""
+                if summary.is_file():
+                    # These keys are among the first ones. The whole file may be large.
                     with summary.open(encoding="utf-8", errors="replace") as file:
-                        reached = '"outcome": "reached"' in file.read(2000)
+                        start = file.read(4000)
+                if all(f'"{key}": ' in start for key in ("outcome", "began")):
+                    reached = '"outcome": "reached"' in start
                     yield summary.stat(follow_symlinks=False).st_mtime, folder, reached
-                elif (folder / "bag").is_dir():
+                elif any(name.endswith(f"/{NOTES}") for name in first_topics(folder / BAG_FILE)):
                     yield entry.stat(follow_symlinks=False).st_mtime, folder, False
 
 

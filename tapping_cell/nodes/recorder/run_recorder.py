@@ -14,7 +14,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import inf, isfinite
 from pathlib import Path
 from typing import Any
@@ -89,6 +89,8 @@ WARNING_FACTOR = 2.0
 RATE_SHARE = 0.8
 """Minimum interval between recorded images, as a share of the requested period. Intervals vary, and
 a full period would drop images that are slightly early."""
+USELESS_WAIT_S = 3600.0
+"""Time without deletions for free space after deletions that freed none."""
 LONGEST_PATH = 1024
 DEPTH = 200
 """Queue depth of a topic between two polls. Images at 30 Hz fill it in 6.7 s."""
@@ -245,6 +247,8 @@ class RunRecorder(CellNode[Parameters]):
         self._folder, self._name = self.settings.folder, self.settings.name
         self._picture_rate = self.settings.picture_rate
         self._retention = Retention(self.settings.most_runs)
+        self._no_space_before = -inf
+        """Monotonic time until which no run is deleted for free space."""
         self._worker: Worker | None = None
         self._reporter: Worker | None = None
         self._types = MessageTypes()
@@ -300,9 +304,9 @@ class RunRecorder(CellNode[Parameters]):
         self._worker.start()
         settings = self.settings
         self._retention = Retention(settings.most_runs, settings.keep_free, settings.keep_days)
-        self._submit(self._delete_old_runs)
         self._reporter = Worker("teller")
         self._reporter.start()
+        self._delete_later()
         for topic in self._topics.values():
             # The definition is loaded here in advance, so that it does not delay the first messages
             # of a goal.
@@ -541,17 +545,32 @@ class RunRecorder(CellNode[Parameters]):
         except OSError as error:
             self._complain(f"a refused goal could not be listed in {folder} ({error.strerror})")
 
+    def _delete_later(self) -> None:
+        """Delete old runs in the thread of the reports, so that no messages of a goal wait."""
+        if self._reporter is not None:
+            self._reporter.submit(self._delete_old_runs)
+
     def _delete_old_runs(self) -> None:
+        parent, rule = self._run_parent, self._retention
+        if time.monotonic() < self._no_space_before:
+            rule = replace(rule, free_share=0.0)
         try:
-            deleted = self._retention.apply(self._run_parent)
+            done = rule.apply(parent)
         except OSError as error:
-            self._complain(f"old runs in {self._run_parent} cannot be deleted ({error})")
+            self._complain(f"old runs in {parent} cannot be deleted ({error})")
             return
-        if deleted:
-            self.get_logger().info(f"deleted old runs: {', '.join(deleted)}")
+        if done.deleted:
+            self.get_logger().info(f"deleted old runs: {', '.join(done.deleted)}")
+        if done.useless:
+            self._no_space_before = time.monotonic() + USELESS_WAIT_S
+            self.get_logger().warning(
+                f"deleting runs does not free the disk of {parent}; no run is deleted for its free "
+                f"space for {USELESS_WAIT_S / 3600:.0f} h: find out which program fills it"
+            )
+        if done.failed:
+            self._complain(f"in {parent} cannot be deleted: {', '.join(done.failed)}")
 
     def _open(self, folder: Path, name: str) -> None:
-        self._delete_old_runs()
         try:
             least_free = MEGABYTE * self.settings.least_free
             prepared = bool(self._name)
@@ -559,6 +578,7 @@ class RunRecorder(CellNode[Parameters]):
             self._recording = Recording(made, self._topics, self._types)
         except CannotRecord as error:
             self._complain(str(error))
+            self._delete_later()
             return
         self._error = ""
         self.get_logger().info(f"recording to {made}")
@@ -576,6 +596,7 @@ class RunRecorder(CellNode[Parameters]):
             self._announce(recording, pictures=False)
             # Reported last, because /diagnostics shows the last failure.
             self._complain(f"recording to {recording.folder} was stopped: {error}")
+            self._delete_later()
 
     def _close(self, rest: list[ReceivedMessage], pictures: bool) -> None:
         self._write(rest)
@@ -587,6 +608,7 @@ class RunRecorder(CellNode[Parameters]):
             self._reporter.submit(lambda: self._announce(recording, pictures=True))
         else:
             self._announce(recording, pictures=False)
+        self._delete_later()
 
     def _finish(self, recording: Recording) -> None:
         """Close the bag and write the tables. The tables are written immediately, but drawing takes

@@ -123,3 +123,7 @@ def test_an_unknown_kind_of_video_and_a_run_without_a_pose_are_refused(tmp_path:
         write_video(tmp_path / "run.avi", IllustratedRun(run, ()))
     with pytest.raises(VideoError, match="no recorded pose"):
         write_video(tmp_path / "run.gif", IllustratedRun(made_run(start=None), ()))
+    long = made_run(run.taps, outline=OUTLINE, wall_time=600.0)
+    with pytest.raises(VideoError, match=r"takes 600 s, .*write .*run\.mp4"):
+        write_video(tmp_path / "new" / "run.gif", IllustratedRun(long, ()))
+    assert not (tmp_path / "new").exists()
