@@ -22,7 +22,7 @@ MODULES = tuple(
     for room, names in (
         ("logic", "permit stops tap_commands tapper_peers tapper tapper_jobs device arm planner"),
         ("logic", "tapper_cycle tapper_board tapper_commands standing_still arm_readings"),
-        ("logic", "planner_states planner_inputs goal_requests arm_trajectory"),
+        ("logic", "planner_inputs goal_requests arm_trajectory"),
         ("logic", "tap_cycle tap_decision tap_steps tap_counts tap_sender confirmation resumption"),
         ("hardware", "tapper output_tapper"),
     )

@@ -45,6 +45,7 @@ class Drafts {
     const goals = new Map(drafts.map(([name, ...pose]) => [name, pose]));
     for (const row of rows) {
       const goal = goals.get(row.name);
+      if (goal && row.ghost.touched && row.pose && isRounded(row.pose, goal)) continue;
       row.ghost.touched = Boolean(goal);
       if (goal) row.ghost.place(...goal);
     }
@@ -52,3 +53,7 @@ class Drafts {
     arrangement.refresh();
   }
 }
+
+// Whether a goal is this page's own, which the node returns rounded. What was typed stays then.
+const isRounded = (pose, goal) =>
+  [pose.x, pose.y, pose.angle].every((value, index) => Math.abs(value - goal[index]) < 0.01);
