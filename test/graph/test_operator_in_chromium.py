@@ -118,6 +118,9 @@ class Page:
         for _ in range(5):
             for button in self.driver.find_elements("id", "step-press-button"):
                 button.click()  # missing while the last press counts
+            self.wait(
+                lambda: not self.driver.find_elements("id", "step-press-button"), "the press counts"
+            )
             self.element("step-clear").click()
             self.element("confirm-yes").click()
             end = time.monotonic() + 8.0
