@@ -99,6 +99,22 @@ def add_seed(parser: argparse.ArgumentParser, default: int | None, text: str) ->
     parser.add_argument("--seed", type=seed, default=default, help=text)
 
 
+def add_cell(parser: argparse.ArgumentParser) -> None:
+    """Declare --cell."""
+    parser.add_argument(
+        "--cell",
+        type=configuration_file,
+        help="cell file (default: the package's cell.yaml)",
+    )
+
+
+def add_object(parser: argparse.ArgumentParser) -> None:
+    """Declare --object of a verb that also reads a cell file."""
+    parser.add_argument(
+        "--object", type=configuration_file, help="object file (default: the cell's)"
+    )
+
+
 def add_namespace(
     parser: argparse.ArgumentParser, text: str = "namespace of the cell's nodes (default: none)"
 ) -> None:

@@ -109,14 +109,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     argument_types.add_seed(
         parser, 1, "random seed of the simulated world's noise and scatter (default: 1)"
     )
-    parser.add_argument(
-        "--cell",
-        type=argument_types.configuration_file,
-        help="cell file (default: the package's cell.yaml)",
-    )
-    parser.add_argument(
-        "--object", type=argument_types.configuration_file, help="object file (default: the cell's)"
-    )
+    argument_types.add_cell(parser)
+    argument_types.add_object(parser)
     add_truth_arguments(parser)
     parser.add_argument("--planner", help="planning method (default: the cell's)")
     parser.add_argument("--out", type=Path, help="run folder (default: a new folder in runs)")

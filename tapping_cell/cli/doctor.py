@@ -62,11 +62,7 @@ class Row:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the verb."""
-    parser.add_argument(
-        "--cell",
-        type=argument_types.configuration_file,
-        help="cell file (default: the package's cell.yaml)",
-    )
+    argument_types.add_cell(parser)
     parser.add_argument(
         "--write",
         action="store_true",

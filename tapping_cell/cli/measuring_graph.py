@@ -33,11 +33,7 @@ def add_graph_arguments(parser: argparse.ArgumentParser) -> None:
         help="camera device, video file or image folder (only with --hardware; default: "
         "/dev/video0)",
     )
-    parser.add_argument(
-        "--cell",
-        type=argument_types.configuration_file,
-        help="cell file (default: the package's cell.yaml)",
-    )
+    argument_types.add_cell(parser)
     add_truth_arguments(parser)
     parser.set_defaults(planner=None)
 

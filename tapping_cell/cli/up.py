@@ -74,14 +74,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="use the real camera, arm and tapper (default: simulated)",
     )
-    parser.add_argument(
-        "--cell",
-        type=argument_types.configuration_file,
-        help="cell file (default: the package's cell.yaml)",
-    )
-    parser.add_argument(
-        "--object", type=argument_types.configuration_file, help="object file (default: the cell's)"
-    )
+    argument_types.add_cell(parser)
+    argument_types.add_object(parser)
     parser.add_argument("--planner", help="planning method (default: the cell's)")
     argument_types.add_namespace(parser, "namespace of the nodes (default: none)")
     parser.add_argument(

@@ -15,13 +15,15 @@ FRAME_FIELDS = ("frame_id", "child_frame_id")
 
 def add_prefix(message: Any, prefix: str) -> None:
     """Add the prefix to every frame of the cell in a ROS message."""
-    _rename(message, lambda name: prefix + name if name in FRAMES else name)
+    if prefix:
+        _rename(message, lambda name: prefix + name if name in FRAMES else name)
 
 
 def accept_table(message: Any, prefix: str) -> None:
     """Replace the prefixed name of ``table`` in a ROS message by the name within the cell. Other
     frames keep their names, by which they are looked up on ``/tf``."""
-    _rename(message, lambda name: TABLE if name == prefix + TABLE else name)
+    if prefix:
+        _rename(message, lambda name: TABLE if name == prefix + TABLE else name)
 
 
 def _rename(message: Any, rename: Callable[[str], str]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 from rclpy.client import Client
@@ -83,17 +84,13 @@ class PrivateNames:
         return self._node.resolve_topic_name(f"{role}/{private}")
 
 
+@dataclass(slots=True)
 class _Topic:
     """A subscription that follows a node."""
 
-    def __init__(
-        self,
-        kind: type,
-        role: str,
-        topic: str,
-        process: Callable[[Any], None],
-        profile: QoSProfile,
-    ) -> None:
-        self.kind, self.role, self.topic = kind, role, topic
-        self.process, self.profile = process, profile
-        self.subscription: Subscription | None = None
+    kind: type
+    role: str
+    topic: str
+    process: Callable[[Any], None]
+    profile: QoSProfile
+    subscription: Subscription | None = None

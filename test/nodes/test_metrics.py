@@ -78,16 +78,10 @@ def test_goals_and_diagnostics_are_counted(served: tuple[Bench, str]) -> None:
     assert not [key for key in numbers if {"103", "left/scara_arm", "x"} & {*key}]
 
 
-def test_without_the_library_the_answer_names_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_the_library_the_answer_names_it(
+    served: tuple[Bench, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setitem(sys.modules, "prometheus_client", None)
-    made: list[OperatorPage] = []
-
-    def make() -> list[OperatorPage]:
-        made.append(OperatorPage())
-        return list(made)
-
-    with bench(make, PARAMETERS) as one:
-        one.wait(lambda: made[0].urls, "the page is served")
-        with pytest.raises(urllib.error.HTTPError, match="501") as raised:
-            read(made[0].urls[0].partition("#")[0] + "metrics")
+    with pytest.raises(urllib.error.HTTPError, match="501") as raised:
+        read(served[1])
     assert metrics.ABSENT in raised.value.read().decode()

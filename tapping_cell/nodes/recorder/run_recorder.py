@@ -367,7 +367,7 @@ class RunRecorder(CellNode[Parameters]):
         if (degrees := computer.temperature()) is not None:
             values["temperature (degrees C)"] = degrees
         with contextlib.suppress(OSError):
-            free = computer.free_disk_space(self._run_parent)
+            free, _ = computer.disk_space(self._run_parent)
             values["free disk space (MB)"] = free // MEGABYTE
             if free < WARNING_FACTOR * least:
                 values["error code"] = ErrorCode.RECORDING_FAILED

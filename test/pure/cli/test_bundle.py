@@ -83,4 +83,4 @@ def test_the_hottest_sensor_counts(tmp_path: Path) -> None:
         (tmp_path / f"thermal_zone{number}").mkdir()
         (tmp_path / f"thermal_zone{number}" / "temp").write_text(text)
     assert computer.temperature(tmp_path) == 55.5
-    assert computer.free_disk_space(tmp_path / "no" / "folder") > 0
+    assert computer.disk_space(tmp_path / "no" / "folder")[0] > 0
