@@ -244,6 +244,27 @@ def test_saved_gains_are_restored_and_a_damaged_file_is_named():
         load_gains(name, "domain0")
 
 
+def test_saved_gains_keep_what_belongs_to_the_impact_and_to_the_slide():
+    """After a tap with a track, the parts are known better than before; both parts and their
+    anticorrelation after taps without one are restored. A file without parts is read as before."""
+    asked = np.array([0.02, 0.0, math.radians(5.0)])
+    gains = Gains.start()
+    for track in (None, Slid(*np.array([0.016, 4.0, 0.02, 0.02]))):
+        gains = gains.observe(asked, 1.5 * asked, 0.3, SCATTER, CameraNoise(), track)
+        numbers = gains.as_numbers()
+        loaded = Gains.from_numbers(numbers)
+        for kept, belief in ((loaded.distance, gains.distance), (loaded.rotation, gains.rotation)):
+            assert np.allclose(kept.mean[0], belief.expected())
+            assert np.allclose(np.sqrt(np.diagonal(kept.covariance[0])), belief.deviation())
+        sums = [np.sqrt(loaded.distance.covariance[0].sum()) * numbers["distance"]]
+        sums.append(np.sqrt(loaded.rotation.covariance[0][:2, :2].sum()))
+        assert np.allclose(sums, gains.deviation[:2])
+    old = {key: value for key, value in numbers.items() if not key.startswith(("impact", "slide"))}
+    assert np.allclose(Gains.from_numbers(old).value, loaded.value, rtol=0.01)
+    with pytest.raises(PlanningError, match=r"slide_distance is 70\.0.*0\.1 to 10"):
+        Gains.from_numbers({**numbers, "slide_distance": 70.0})
+
+
 def test_a_track_tells_the_torque_factor_from_the_scatter_of_the_impact():
     """One tap whose impact turned the object 30 % too much: without a track, the planner attributes
     a part of it to the object; with a track, nothing."""
