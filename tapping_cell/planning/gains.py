@@ -469,8 +469,9 @@ class Gains:
             parts = np.array(pairs)
             parts[0] = [_logarithm(part) for part in parts[0]]
         else:
-            impact = total * np.stack([_IMPACT, np.full(4, math.sqrt(0.5))], axis=-1)
-            parts = np.stack([impact, impact + (total - impact) * [1.0, 0.0]], axis=1)
+            shares = np.stack([_IMPACT, 1.0 - _IMPACT], axis=-1)
+            half = np.broadcast_to(math.sqrt(0.5), shares.shape)
+            parts = total[:, None] * np.stack([shares, half], axis=-1)
         mean, covariance = np.empty(8), np.zeros((8, 8))
         mean[_OF_PARTS] = parts[..., 0]
         covariance[_OF_PARTS, _OF_PARTS] = parts[..., 1] ** 2
