@@ -14,7 +14,7 @@ from tapping_cell.logic.clock import Now, to_stamp
 from tapping_cell.logic.poses import covariance_to_message, from_message, to_message
 from tapping_cell.mechanics import Sliding
 from tapping_cell.messages import ObjectState, PoseWithCovariance
-from tapping_cell.planning.track import slid_of
+from tapping_cell.planning.track import launch_from, slid_of
 from tapping_cell.se2 import Pose
 from tapping_cell.vision.rest_detection import RestSettings, Track
 
@@ -67,7 +67,8 @@ def test_friction_and_torque_factor_follow_from_the_observations(
             rest = state if state.at_rest else rest
         track = monitor.track(rest)
         after = from_message(rest.pose.pose)
-        slid = None if track is None else slid_of(track, BEFORE, after, model)
+        launch = None if track is None else launch_from(track, BEFORE, after, model)
+        slid = None if launch is None else slid_of(launch, BEFORE, after, model)
         if slid is None or not np.isfinite(slid.slope):
             continue
         found += 1
