@@ -234,7 +234,8 @@ def test_saved_gains_are_restored_and_a_damaged_file_is_named():
     loaded = load_gains(name, "domain0")
     again = learn((1.8, 0.6, 0.01, 0.0, 1.0, 0.0), 1, 9, loaded)
     assert np.allclose(again.value[:3], gains.value[:3], rtol=0.06, atol=0.01)
-    assert loaded.spread([0.01, 0, 0], SCATTER, 3.0).longest < 2.0
+    unknown = Gains.start().spread([0.01, 0, 0], SCATTER, 3.0).longest
+    assert loaded.spread([0.01, 0, 0], SCATTER, 3.0).longest < 0.4 * unknown
     content = json.loads(path.read_text())
     path.write_text(json.dumps({**content, "distance": 17.0}))
     with pytest.raises(PlanningError, match=r"no\._3-\w+\.json.*distance is 17\.0.*0\.1 to 10"):
