@@ -90,3 +90,13 @@ def test_a_slide_that_was_hidden_has_no_track() -> None:
             monitor.on_object(state, Now(0.0, 0))
             rest = state
     assert monitor.track(rest) is None
+
+
+def test_the_track_of_a_tap_begins_when_the_tap_is_planned() -> None:
+    model = make_tap(load_cell()).sliding
+    monitor = CellMonitor(0.5)
+    for state in observed(model, 120.0, 1):
+        monitor.on_object(state, Now(0.0, 0))
+    assert monitor.object is not None and monitor.track(monitor.object) is not None
+    monitor.begin_track()
+    assert monitor.track(monitor.object) is None
