@@ -95,6 +95,11 @@ class Launch:
         "mean deceleration in the model", "model_deceleration"
     )
 
+    @property
+    def is_known(self) -> bool:
+        """Whether the poses of the slide determine the launch."""
+        return self.poses > 0 and math.isfinite(self.speed)
+
 
 @dataclass(frozen=True, slots=True)
 class TapRow:
