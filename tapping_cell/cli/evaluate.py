@@ -150,8 +150,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="HZ",
         help="images per second of a camera that follows the slide, from which the planner learns "
         "friction and torque factor apart from the scatter of the impact. off: poses at rest only. "
-        "truth: the true values are known after the first tap, which no camera exceeds (only with "
-        "--model abstract; default: off)",
+        "truth: the true values are known after the first tap, which no camera exceeds (with "
+        "--model abstract, or a rate with --model world --table; default: off)",
     )
     parser.add_argument(
         "--off-centre",
@@ -480,8 +480,12 @@ def _track(arguments: argparse.Namespace) -> float:
         raise PlanningError(
             f"--track is {arguments.track}; give images per second, off or truth"
         ) from None
-    if rate and (arguments.model != "abstract" or arguments.table):
-        raise PlanningError("--track needs --model abstract, without --table")
+    shown = rate > 0.0 and arguments.model == "world" and arguments.table
+    if rate and not shown and (arguments.model != "abstract" or arguments.table):
+        raise PlanningError(
+            "--track needs --model abstract without --table, or --model world with --table (a "
+            "rate only): the other models have no motion in time"
+        )
     return rate
 
 
@@ -738,6 +742,8 @@ def _arrange(arguments: argparse.Namespace) -> int:
     """Evaluate scenes of several objects. With ``--all``, evaluate the built-in planner and the
     baselines."""
     names = list(arrangements.METHODS) if arguments.all else [arguments.method]
+    if arguments.unknown or _track(arguments):
+        raise PlanningError("--arrange does not simulate --unknown or --track; leave them out")
     figures = {}
     for name in names:
         task = arrangements.ArrangementTask(

@@ -63,7 +63,8 @@ def launch_words(launch: Launch) -> str:
         )
     words.append(
         f"deceleration {launch.deceleration:.2f} \u00b1 {launch.deceleration_deviation:.2f} "
-        f"m/s\u00b2 (model {launch.model_deceleration:.2f} m/s\u00b2), from {launch.poses:.0f} poses"
+        f"m/s\u00b2 (model {launch.model_deceleration:.2f} m/s\u00b2), "
+        f"from {launch.poses:.0f} poses"
     )
     return "; ".join(words)
 

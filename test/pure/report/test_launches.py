@@ -1,4 +1,4 @@
-"""What a report says about the launches that the camera saw, and about what was learnt from them."""
+"""What a report says about launches that the camera saw, and about what was learnt from them."""
 
 from __future__ import annotations
 
