@@ -19,7 +19,8 @@ def to_message(gains: Gains) -> LearntGains:
 def track_message(launched: Launched | None) -> SlideTrack:
     """Convert the launch in a track to a message; without a track, its numbers are NaN."""
     if launched is None:
-        launched = Launched(0, *3 * [math.nan], *2 * [3 * (math.nan,)])
+        nan = math.nan
+        launched = Launched(0, nan, nan, nan, (nan, nan, nan), (nan, nan, nan))
     return SlideTrack(
         poses=launched.poses,
         speed=launched.speed,
