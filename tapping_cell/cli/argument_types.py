@@ -127,6 +127,5 @@ def add_wait(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--wait",
         type=within(0, 3600),
-        default=20.0,
-        help="longest wait for the cell, in seconds (default: 20)",
+        help="longest wait for the cell, in seconds (default: 20, or 1 without any ROS node)",
     )

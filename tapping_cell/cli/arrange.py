@@ -80,7 +80,10 @@ def run(arguments: argparse.Namespace) -> int:
         return print_refusal(error)
     with ArrangeClient("arrange", arguments.namespace) as client:
         try:
-            wait_for(client, frozenset(cells), arguments.wait, lambda: None, console)
+            patience, check = arguments.wait, lambda: None
+            if patience is None:
+                patience, check = session.WAIT_S, lambda: session.refuse_empty_domain(client)
+            wait_for(client, frozenset(cells), patience, check, console)
             if layout is None:
                 poses = {name: client.poses[name] for name in cells}
                 goals = preset_layout(cells, arguments.preset, poses)

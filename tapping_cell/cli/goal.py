@@ -99,7 +99,8 @@ def run(arguments: argparse.Namespace) -> int:
     distance, angle = arguments.tolerance
     with GoalClient("goal", arguments.namespace) as client:
         try:
-            deadline = time.monotonic() + arguments.wait
+            wait = session.WAIT_S if arguments.wait is None else arguments.wait
+            deadline = time.monotonic() + wait
             session.wait_for_planner(client, arguments.wait, console)
             tolerance = (distance / 1000, math.radians(angle))
             while True:
