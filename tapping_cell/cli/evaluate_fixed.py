@@ -27,11 +27,11 @@ from tapping_cell.planning.evaluation.fixed_cell import FixedEvaluation, evaluat
 from tapping_cell.planning.evaluation.summary import summarise
 
 COLUMNS = (
-    "start angle",
-    "mean taps",
-    "seconds",
+    "start",
+    "taps, mean",
+    "s, mean",
     "taps, 99 %",
-    "taps, maximum",
+    "taps, max.",
     "reached, of all",
     "truly inside, of reached",
     "refused",
@@ -133,6 +133,8 @@ def _print(cell: Cell, arguments: argparse.Namespace, rows: list[dict[str, Any]]
     x, y, theta = arguments.goal_pose
     table = Table(
         *COLUMNS,
+        box=None,
+        pad_edge=False,
         title=f"{cell.file.name}, {cell.object.name}: {arguments.trials} trials per angle, goal "
         f"({x:g} mm, {y:g} mm, {theta:g} degrees)",
     )
@@ -149,4 +151,4 @@ def _print(cell: Cell, arguments: argparse.Namespace, rows: list[dict[str, Any]]
             share_text(row["truly_inside"], row["done"]),
             str(row["refused_before"] + row["refused_later"]),
         )
-    Console(width=120).print(table)
+    Console().print(table)

@@ -190,9 +190,13 @@ def compare(reports: list[tuple[Run, Path]], folder: Path) -> Path:
 
 def table_of(rows: list[Row]) -> Table:
     """Return a table of the runs."""
-    table = Table(box=None, pad_edge=False)
-    for name in ("run", "outcome", "planner", "taps", "remaining mm", "remaining deg", "time s"):
-        table.add_column(name, justify="left" if name in ("run", "outcome", "planner") else "right")
+    table = Table(box=None, pad_edge=False, collapse_padding=True)
+    # In a narrow terminal, the planner's name is wrapped: the other columns tell the runs apart.
+    table.add_column("run", no_wrap=True)
+    table.add_column("outcome", no_wrap=True)
+    table.add_column("planner", overflow="fold")
+    for name in ("taps", "left mm", "left deg", "time s"):
+        table.add_column(name, justify="right", no_wrap=True)
     for row in rows:
         table.add_row(
             row.name,
