@@ -151,7 +151,8 @@ def run(arguments: argparse.Namespace) -> int:
     except (ConfigurationError, UnknownPlannerError, GraphError, OSError) as error:
         return print_refusal(error)
     domain.use()
-    console.print(f"run folder {folder}; watch it with ROS_DOMAIN_ID={domain.number}")
+    watch = f"ROS_DOMAIN_ID={domain.number} python -m tapping_cell watch"
+    console.print(f"run folder {folder}; to watch the cell, run {watch}", soft_wrap=True)
     parameters = node_parameters(arguments, cell)
     parameters[RECORDER] |= {"folder": folder.parent, "name": folder.name}
     nodes = (*nodes_of(cell, hardware=False), RECORDER)

@@ -15,11 +15,11 @@ from tapping_cell.cli.argument_types import MM_AND_DEGREES, POSE
 from tapping_cell.cli.evaluate_common import (
     camera_of,
     inputs_of,
-    progress,
     scatter_of,
     share_text,
     si_pair,
 )
+from tapping_cell.cli.progress import progress
 from tapping_cell.configuration.assembly import make_fixed_space, make_planner_settings
 from tapping_cell.configuration.cell import Cell
 from tapping_cell.planning import PlanningError
@@ -95,7 +95,7 @@ def run_fixed(arguments: argparse.Namespace, cell: Cell) -> int:
     rows = []
     for angle in arguments.start_angles:
         evaluation = _evaluation(arguments, cell, angle)
-        with progress(arguments, "trials", evaluation.trials) as note:
+        with progress("trials", evaluation.trials) as note:
             began = time.perf_counter()
             results = evaluate_fixed(evaluation, note)
             elapsed = time.perf_counter() - began
