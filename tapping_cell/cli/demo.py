@@ -31,7 +31,7 @@ from typing import Any
 from rich.console import Console
 from tapping_cell_msgs.msg import ErrorCode
 
-from tapping_cell.cli import argument_types, arrange, session
+from tapping_cell.cli import argument_types, arrangement, session
 from tapping_cell.cli.demo_scene import GOALS, MAX_OBJECTS, write_scene
 from tapping_cell.cli.errors import ExitStatus, print_error, print_refusal
 from tapping_cell.cli.graph import (
@@ -206,10 +206,10 @@ def _arrange(layout: LayoutFile, graph: Graph, console: Console) -> Path:
     """Arrange the objects. Return the folder in which the run was recorded."""
     names = frozenset(goal.object for goal in layout.goals)
     with ArrangeClient("demo") as client:
-        arrange.wait_for(client, names, READY_TIMEOUT_S, graph.check, console)
+        arrangement.wait_for(client, names, READY_TIMEOUT_S, graph.check, console)
         client.send(layout)
         return _recorded(
-            client, lambda: arrange.follow(client, graph.check, console), graph, console
+            client, lambda: arrangement.follow(client, graph.check, console), graph, console
         )
 
 
