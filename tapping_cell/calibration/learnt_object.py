@@ -29,9 +29,9 @@ from tapping_cell.mechanics import Sliding
 from tapping_cell.se2 import Array, wrap_angle
 
 EQUIVALENT = (
-    "friction and torque factor are equivalent values: with the restitution and contact friction of "
-    "the object file, they predict the taps of this cell; their intervals do not contain the error "
-    "of those two values"
+    "friction and torque factor are equivalent values: with the restitution and contact friction "
+    "of the object file, they predict the taps of this cell; their intervals do not contain the "
+    "error of those two values"
 )
 FEWEST_TAPS = 5
 _DISTANCE, _ROTATION, _SLOPE = 0.05, 0.15, 0.1
