@@ -21,7 +21,8 @@ from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
-from tapping_cell.report.bag import BagError, BagWriter, Quality, bag_file, read_bag, recover
+from tapping_cell.report.bag import BagWriter, bag_file, read_bag, recover
+from tapping_cell.report.recorded import BagError, Quality
 from tapping_cell.report.message_files import UnknownMessageType
 from tapping_cell.report.message_types import MessageTypes
 
