@@ -11,6 +11,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -192,8 +193,10 @@ def test_without_rosbags_a_run_has_everything_but_its_bag(tmp_path: Path, monkey
         assert (folder / "bag").exists() == bags
         assert "Goal reached in 1 tap" in (folder / "report.html").read_text()
     assert runs[False].reached and len(runs[False].activities) == len(runs[True].activities) > 0
-    for kept in ("objects", "taps", "seed", "files", "planner"):
+    for kept in ("objects", "seed", "files", "planner"):
         assert getattr(runs[False], kept) == getattr(runs[True], kept)
+    (tap,), (other,) = runs[False].taps, runs[True].taps
+    assert replace(tap, at_rest_at=0.0) == replace(other, at_rest_at=0.0)
     with pytest.raises(BagError, match="pip install rosbags"):
         read_illustrated_run(folder / "bag")
 

@@ -22,9 +22,9 @@ from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
 from tapping_cell.report.bag import BagWriter, bag_file, read_bag, recover
-from tapping_cell.report.recorded import BagError, Quality
 from tapping_cell.report.message_files import UnknownMessageType
 from tapping_cell.report.message_types import MessageTypes
+from tapping_cell.report.recorded import BagError, Quality
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 MESSAGES = Path(__file__).resolve().parents[3] / "msg_defs" / "msg"
