@@ -3,7 +3,7 @@
     python environment/release.py 0.2.0
 
 bloom and colcon do not look for a package inside another package. Therefore, the tag
-``release/0.2.0`` contains the packages side by side, in the folders ``tapping_cell`` and
+``packages-0.2.0`` contains the packages side by side, in the folders ``tapping_cell`` and
 ``tapping_cell_msgs``, each with a ``CHANGELOG.rst`` made from ``CHANGELOG.md``. The tag ``0.2.0``
 is on the commit of the sources. Nothing is pushed.
 """
@@ -142,7 +142,7 @@ def release(version: str) -> str:
     prepare(version, datetime.datetime.now(datetime.timezone.utc).date())
     _git("commit", "-am", f"Release {version}")
     _git("tag", version)
-    tag = f"release/{version}"
+    tag = f"packages-{version}"
     words = ("-p", "HEAD", "-m", f"Release {version}: the packages side by side")
     _git("tag", tag, _git("commit-tree", side_by_side("HEAD"), *words))
     return tag
@@ -162,7 +162,7 @@ def main() -> int:
         f"tagged {sys.argv[1]} and {tag}. Next:\n\n"
         f"    git push origin HEAD {sys.argv[1]} {tag}\n"
         "    bloom-release --rosdistro jazzy --track jazzy tapping_cell\n\n"
-        "The track's release tag is release/:{version}."
+        "The track's release tag is packages-:{version}."
     )
     return 0
 

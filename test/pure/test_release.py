@@ -66,7 +66,7 @@ def test_a_release_has_one_version_and_both_packages_side_by_side(repository, tm
     tag = release.release("0.2.0")
     assert set(release.stated_versions(repository).values()) == {"0.2.0"}
     tags = subprocess.check_output(["git", "tag"], cwd=repository, text=True).split()
-    assert tags == ["0.2.0", tag] == ["0.2.0", "release/0.2.0"]
+    assert tags == ["0.2.0", tag] == ["0.2.0", "packages-0.2.0"]
     out = tmp_path_factory.mktemp("released")
     subprocess.run(
         ["git", "worktree", "add", "-q", str(out / "x"), tag], cwd=repository, check=True
