@@ -16,8 +16,8 @@ from ament_index_python.packages import get_package_share_directory
 from hypothesis import given
 from hypothesis import strategies as st
 
-for _name in ("mcap", "rosbags"):
-    pytest.importorskip(_name, reason=f"{_name} is not installed; it has no Debian package")
+pytest.importorskip("mcap", reason="mcap is not installed; it has no Debian package")
+pytest.importorskip("rosbags", reason="rosbags is not installed; it has no Debian package")
 
 from mcap.reader import make_reader
 from mcap.stream_reader import StreamReader
