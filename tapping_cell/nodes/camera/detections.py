@@ -45,7 +45,8 @@ def _detection(state: ObjectState, file: ObjectFile) -> Detection3D:
     found.results.append(result)
     corners = np.array(file.shape.outline())
     low, high = corners.min(axis=0), corners.max(axis=0)
-    middle = from_message(state.pose.pose) @ Pose(*(float(x) for x in (low + high) / 2), 0.0)
+    x, y = (low + high) / 2
+    middle = from_message(state.pose.pose) @ Pose(float(x), float(y), 0.0)
     found.bbox.center = to_message(middle, file.height / 2)
     length, width = high - low
     found.bbox.size = Vector3(x=float(length), y=float(width), z=file.height)
