@@ -103,3 +103,9 @@ def test_the_changelog_has_one_entry_for_each_of_a_released_version():
         "* The first version.",
     ]
     assert release.changelog(MARKDOWN, "tapping_cell_msgs").count("* ") == 1
+
+
+def test_the_package_manifests_are_valid():
+    lint = pytest.importorskip("ament_xmllint.main", reason="ament_xmllint is not installed")
+    files = [ROOT / "package.xml", ROOT / "msg_defs/package.xml", ROOT / "config"]
+    assert lint.main([str(file) for file in files]) == 0
