@@ -100,8 +100,7 @@ def prepare(version: str, date: datetime.date) -> None:
     log.write_text(text.replace(unreleased, f"\n## {version} ({date})\n"), encoding="utf-8")
     for name, old in stated_versions(ROOT).items():
         file = ROOT / name
-        wanted = re.sub(r"\(\.\*\)", lambda _: version, PLACES[name])
-        present = re.sub(r"\(\.\*\)", lambda _, old=old: old, PLACES[name])
+        wanted, present = (PLACES[name].replace("(.*)", text) for text in (version, old))
         content = file.read_text(encoding="utf-8").replace(present, wanted, 1)
         file.write_text(content, encoding="utf-8")
 
