@@ -18,6 +18,7 @@ from pathlib import Path
 
 from tapping_cell import __version__
 from tapping_cell.nodes import security
+from tapping_cell.report.recorded import NO_BAGS
 
 Execute = Callable[[argparse.Namespace], int]
 
@@ -98,6 +99,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except ImportError as error:
         if (error.name or "").split(".")[0] == "tapping_cell":
             raise
+        if error.name == "rosbags":
+            print(f"error: {NO_BAGS}", file=sys.stderr)
+            return 2
         return _not_set_up(f"{sys.executable} cannot import '{error.name}' ({error})")
     except RuntimeError as error:
         # Catch the base class of rclpy's errors, because rclpy is imported only by the verbs that

@@ -12,7 +12,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from tapping_cell.nodes.recorder.run_names import is_run_name
-from tapping_cell.report.bag import first_topics
 from tapping_cell.report.run_reader import NOTES
 
 STARRED = "starred"
@@ -148,8 +147,17 @@ def _runs(parent: Path) -> Iterator[tuple[float, Path, bool]]:
                 if all(f'"{key}": ' in start for key in ("outcome", "began")):
                     reached = '"outcome": "reached"' in start
                     yield summary.stat(follow_symlinks=False).st_mtime, folder, reached
-                elif any(name.endswith(f"/{NOTES}") for name in first_topics(folder / BAG_FILE)):
+                elif _is_recorded(folder / BAG_FILE):
                     yield entry.stat(follow_symlinks=False).st_mtime, folder, False
+
+
+def _is_recorded(file: Path) -> bool:
+    """Return whether a file is a bag of the recorder; without rosbags, no file counts as one."""
+    with contextlib.suppress(ModuleNotFoundError):
+        from tapping_cell.report.bag import first_topics
+
+        return any(name.endswith(f"/{NOTES}") for name in first_topics(file))
+    return False
 
 
 def list_refusal(parent: Path, entry: dict[str, object]) -> None:

@@ -15,15 +15,20 @@ import yaml
 from ament_index_python.packages import get_package_share_directory
 from hypothesis import given
 from hypothesis import strategies as st
+
+pytest.importorskip("mcap", reason="mcap is not installed; it has no Debian package")
+pytest.importorskip("rosbags", reason="rosbags is not installed; it has no Debian package")
+
 from mcap.reader import make_reader
 from mcap.stream_reader import StreamReader
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
-from tapping_cell.report.bag import BagError, BagWriter, Quality, bag_file, read_bag, recover
+from tapping_cell.report.bag import BagWriter, bag_file, read_bag, recover
 from tapping_cell.report.message_files import UnknownMessageType
 from tapping_cell.report.message_types import MessageTypes
+from tapping_cell.report.recorded import BagError, Quality
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 MESSAGES = Path(__file__).resolve().parents[3] / "msg_defs" / "msg"
