@@ -66,6 +66,8 @@ OOMPolicy=continue
 MemoryHigh=60%
 MemoryMax=80%
 CPUWeight=500
+# `up` gives all nodes but the drivers of arm and tapper the usual priority.
+Nice=-10
 CPUQuota={quota}%
 TasksMax=1024
 LimitCORE=0

@@ -12,12 +12,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from tapping_cell.nodes.computer import disk_space
-from tapping_cell.nodes.recorder.run_names import is_run_name
+from tapping_cell.nodes.recorder.run_names import STARRED, is_run_name
 from tapping_cell.report.bag import first_topics
 from tapping_cell.report.run_reader import NOTES
 
-STARRED = "starred"
-"""A run folder with a file of this name is never deleted."""
 NEWEST = 10
 """Number of the newest runs that are never deleted."""
 MOST_DELETED = 20
