@@ -94,9 +94,9 @@ def run(arguments: argparse.Namespace) -> int:
     except OSError as error:
         print_error(f"{error.filename}: {error.strerror}")
         return ExitStatus.FAILED
-    for folder in ("objects", VERSIONS, ""):
+    for name in ("objects", VERSIONS, ""):
         with contextlib.suppress(OSError):
-            (places.configuration / folder).rmdir()
+            (places.configuration / name).rmdir()
     return run_all(after) or status
 
 

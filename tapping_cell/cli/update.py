@@ -224,8 +224,8 @@ def require_idle(state: dict[str, Any] | None) -> None:
 def require_firmware(state: dict[str, Any] | None) -> None:
     """Check that this version supports the firmware of the tapper's boards. Raises Unsuitable."""
     rows = [] if state is None else state.get("nodes", [])
-    tapper = next((row for row in rows if row.get("role") == "tapper_trigger"), {})
-    versions = re.findall(r"\b\d+\.\d+[.\d]*", tapper.get("firmware", ""))
+    firmware = [row.get("firmware", "") for row in rows if row.get("role") == "tapper_trigger"]
+    versions = re.findall(r"\b\d+\.\d+[.\d]*", "".join(firmware))
     if not versions:
         print("the tapper is not connected: the firmware of its board is checked at the start")
     for version in versions:
