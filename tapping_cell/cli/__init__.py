@@ -41,6 +41,7 @@ VERBS = {
     "report": "rewrite the reports of runs, compare runs, and write videos",
     "check-config": "check configuration files, and the settings of arm and tapper",
     "deploy": "make a cell start with this computer, as a service of systemd",
+    "update": "make a deployed cell run this version, or take that back",
     "undeploy": "remove what deploy wrote",
     "backup": "archive the configuration and calibrations of a deployed cell",
     "restore": "restore an archive into a deployed cell",
@@ -55,7 +56,7 @@ GROUPS = {
     "operate a cell": ["goal", "status", "home", "stop", "clear", "report"],
     "set up a cell": ["commission", "calibrate", "check-config", "urdf"],
     "describe an object": ["object", "single-tap", "locate"],
-    "keep a cell running": ["deploy", "undeploy", "backup", "restore", "bundle"],
+    "keep a cell running": ["deploy", "update", "undeploy", "backup", "restore", "bundle"],
     "plan and evaluate": ["evaluate", "sensitivity", "paper"],
     "develop": ["conformance", "completion"],
 }

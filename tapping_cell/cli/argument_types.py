@@ -94,6 +94,20 @@ def namespace(text: str) -> str:
     return text.strip("/")
 
 
+def page_place(text: str) -> tuple[str, int]:
+    """Parse address and port from ``PORT`` or ``ADDRESS:PORT``, with an IPv6 address in brackets.
+
+    Raises:
+        argparse.ArgumentTypeError: the text has neither form.
+    """
+    found = re.fullmatch(r"(?:(\[[0-9a-fA-F:.]+\]|[^:\[\]]+):)?(\d{1,5})", text)
+    if found is None or not 0 < int(found[2]) <= 65535:
+        raise argparse.ArgumentTypeError(
+            f"'{text}' is neither PORT nor ADDRESS:PORT; give one such as 8010 or 0.0.0.0:8010"
+        )
+    return (found[1] or "localhost").strip("[]"), int(found[2])
+
+
 def add_seed(parser: argparse.ArgumentParser, default: int | None, text: str) -> None:
     """Declare --seed with the help text ``text``."""
     parser.add_argument("--seed", type=seed, default=default, help=text)
@@ -112,6 +126,19 @@ def add_object(parser: argparse.ArgumentParser) -> None:
     """Declare --object of a verb that also reads a cell file."""
     parser.add_argument(
         "--object", type=configuration_file, help="object file (default: the cell's)"
+    )
+
+
+def add_page(parser: argparse.ArgumentParser) -> None:
+    """Declare --page."""
+    parser.add_argument(
+        "--page",
+        nargs="?",
+        type=page_place,
+        const=("localhost", 8010),
+        metavar="[ADDRESS:]PORT",
+        help="serve the operator's page (default address: localhost:8010); 0.0.0.0:PORT serves it"
+        " to the whole network and requires a token",
     )
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import math
 import re
-import shutil
 from collections.abc import Iterable
 from dataclasses import dataclass
 from datetime import datetime
@@ -18,6 +17,7 @@ from tapping_cell_msgs.msg import ArrangementState, GoalReport, PlanState
 
 from tapping_cell.configuration.cell import Cell, cells_of
 from tapping_cell.logic.planner_states import WORKING_STATES
+from tapping_cell.nodes.computer import disk_space
 from tapping_cell.nodes.recorder.retention import count_runs
 from tapping_cell.planning.prescribed import METHOD as PRESCRIBED
 from tapping_cell.report.message_files import UnknownMessageType
@@ -106,7 +106,7 @@ def check_disk_space(folder: Path, least_free: float) -> None:
         CannotRecord: the free space is too small.
         OSError: the disk is not available.
     """
-    free = shutil.disk_usage(folder).free
+    free = disk_space(folder)[0]
     if free < least_free:
         raise CannotRecord(
             f"the disk of {folder} has only {free / MEGABYTE:.0f} MB free, but "

@@ -11,11 +11,10 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from tapping_cell.nodes.recorder.run_names import is_run_name
+from tapping_cell.nodes.computer import disk_space
+from tapping_cell.nodes.recorder.run_names import STARRED, is_run_name
 from tapping_cell.report.run_reader import NOTES
 
-STARRED = "starred"
-"""A run folder with a file of this name is never deleted."""
 NEWEST = 10
 """Number of the newest runs that are never deleted."""
 MOST_DELETED = 20
@@ -82,7 +81,7 @@ class Retention:
         done = Deletion()
         if not self.deletes or not parent.is_dir():
             return done
-        free = free or free_share
+        free = free or (lambda folder: disk_space(folder)[1])
         for rest in parent.glob(_DELETED + "*"):
             done.remove(rest)
         runs = sorted(_runs(parent), reverse=True)
@@ -116,12 +115,6 @@ class Retention:
                 useless += 1
                 done.useless = useless >= MOST_USELESS
         return done
-
-
-def free_share(folder: Path) -> float:
-    """Return the free share of the disk of a folder. Raises OSError."""
-    usage = shutil.disk_usage(folder)
-    return usage.free / usage.total
 
 
 def count_runs(parent: Path) -> int:
