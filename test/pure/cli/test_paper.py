@@ -123,7 +123,7 @@ def test_the_ros_cell_continues_its_series_and_has_its_own_rows(folder, monkeypa
     assert verbs.count("single-tap") == verbs.count("fit") == 1
     assert verbs.count("demo") == len(paper.GRAPH_METHODS) * len(paper.GRAPH_SEEDS)
     rows = {row.quantity: row for row in paper.rows_of(results) if "ROS" in row.section}
-    assert rows["torque factor, aluminium disk"].here == "3.4 (3.2\u00a0to\u00a03.5)"
+    assert rows["torque factor, aluminium disk"].here == "3.40 (3.20\u00a0to\u00a03.50)"
     assert rows["multi"].value == 2.6 and rows["multi"].low < 2.6 < rows["multi"].high
     assert rows["multi"].why.endswith("4 of 5 goals reached")
 
