@@ -41,6 +41,7 @@ from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_
 from rosbags.typesys.base import TypesysError
 from rosbags.typesys.store import Typestore
 
+from tapping_cell.configuration.schema import ConfigurationError, read_yaml
 from tapping_cell.report.message_types import MessageTypes
 
 _MAGIC = b"\x89MCAP0\r\n"
@@ -251,7 +252,10 @@ def bag_file(path: Path) -> Path:
     files = sorted(path.glob("*.mcap"))
     if len(files) != 1:
         found = str(len(files)) if files else "none"
-        raise BagError(f"{path} must be an .mcap file, or a folder with exactly one; found {found}")
+        joined = "; join them with `ros2 bag convert`" if files else ""
+        raise BagError(
+            f"{path} must be an .mcap file, or a folder with exactly one; found {found}{joined}"
+        )
     return files[0]
 
 
@@ -295,7 +299,23 @@ def read_bag(path: Path) -> Bag:
             raise BagError(f"{file} is damaged: {error}") from error
         missing = f"{file} is damaged after {len(messages)} messages: {error}"
     messages.sort(key=lambda message: message.stamp)
+    missing = missing or _missing_parts(path)
     return Bag(file, tuple(messages), missing, _store_of(schemas, file))
+
+
+def _missing_parts(path: Path) -> str:
+    """Return a sentence if a bag's folder has fewer files than its metadata lists; empty otherwise.
+    A single file may have another name than the metadata state."""
+    try:
+        bag = read_yaml(path / "metadata.yaml")["rosbag2_bagfile_information"]
+        listed = list(bag["relative_file_paths"])
+    except (ConfigurationError, KeyError, TypeError):
+        return ""
+    found = {file.name for file in path.iterdir()}
+    lacking = [str(name) for name in listed if Path(str(name)).name not in found]
+    if len(listed) == 1 or not lacking:
+        return ""
+    return f"{path} lacks {', '.join(lacking)} of the {len(listed)} files in its metadata.yaml"
 
 
 def first_topics(file: Path) -> set[str]:
