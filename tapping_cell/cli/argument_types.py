@@ -21,6 +21,34 @@ POSE: dict[str, Any] = {"type": float, "nargs": 3, "metavar": ("X", "Y", "THETA"
 """Settings of ``add_argument`` for a length and an angle, and for a pose, in mm and degrees."""
 
 
+class Tolerance(argparse.Action):
+    """Refuses a position tolerance, in mm, that is too small or too large; 0 is accepted. A pair in
+    m and rad would ask for a thousandth of the accuracy that is meant."""
+
+    def __call__(
+        self,
+        parser: argparse.ArgumentParser,
+        namespace: argparse.Namespace,
+        values: Any,
+        option_string: str | None = None,
+    ) -> None:
+        """Store the pair."""
+        # Imported late, because the planning package takes a second to import.
+        from tapping_cell.planning import settings
+
+        lowest = 1e3 * settings.SMALLEST_POSITION_TOLERANCE
+        highest = 1e3 * settings.LARGEST_POSITION_TOLERANCE
+        given = values[0]
+        if given and not lowest <= given <= highest:
+            in_metres = f"; if the value is in m, write {1e3 * given:g}" if 0 < given < 1 else ""
+            raise argparse.ArgumentError(
+                self,
+                f"the position tolerance is {given:g} mm, but must be {lowest:g} to {highest:g} mm"
+                f"{in_metres}",
+            )
+        setattr(namespace, self.dest, values)
+
+
 def finite(text: str) -> float:
     """Parse a finite number."""
     try:

@@ -112,6 +112,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--tolerance",
+        action=argument_types.Tolerance,
         **argument_types.MM_AND_DEGREES,
         default=(1.0, 1.0),
         help="position and angle tolerance of the goal, in mm and degrees (default: 1 1)",

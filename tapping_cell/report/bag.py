@@ -41,6 +41,7 @@ from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_
 from rosbags.typesys.base import TypesysError
 from rosbags.typesys.store import Typestore
 
+from tapping_cell.configuration.schema import ConfigurationError, read_yaml
 from tapping_cell.report.message_types import MessageTypes
 from tapping_cell.report.recorded import DEFAULT, Bag, BagError, Quality, Recorded, Topic
 
@@ -174,7 +175,10 @@ def bag_file(path: Path) -> Path:
     files = sorted(path.glob("*.mcap"))
     if len(files) != 1:
         found = str(len(files)) if files else "none"
-        raise BagError(f"{path} must be an .mcap file, or a folder with exactly one; found {found}")
+        joined = "; join them with `ros2 bag convert`" if files else ""
+        raise BagError(
+            f"{path} must be an .mcap file, or a folder with exactly one; found {found}{joined}"
+        )
     return files[0]
 
 
@@ -224,6 +228,7 @@ def _read(path: Path) -> tuple[Bag, Typestore]:
             raise BagError(f"{file} is damaged: {error}") from error
         missing = f"{file} is damaged after {len(messages)} messages: {error}"
     messages.sort(key=lambda message: message.stamp)
+    missing = missing or _missing_parts(path)
     store = _store_of(schemas, file)
     return Bag(file, tuple(messages), missing, partial(_decode, store)), store
 
@@ -233,6 +238,21 @@ def _decode(store: Typestore, data: bytes, kind: str) -> Any:
         return store.deserialize_cdr(data, kind)
     except (SerdeError, KeyError, struct.error, IndexError) as error:
         raise ValueError(str(error)) from error
+
+
+def _missing_parts(path: Path) -> str:
+    """Return a sentence if a bag's folder has fewer files than its metadata lists; empty otherwise.
+    A single file may have another name than the metadata state."""
+    try:
+        bag = read_yaml(path / "metadata.yaml")["rosbag2_bagfile_information"]
+        listed = list(bag["relative_file_paths"])
+    except (ConfigurationError, KeyError, TypeError):
+        return ""
+    found = {file.name for file in path.iterdir()}
+    lacking = [str(name) for name in listed if Path(str(name)).name not in found]
+    if len(listed) == 1 or not lacking:
+        return ""
+    return f"{path} lacks {', '.join(lacking)} of the {len(listed)} files in its metadata.yaml"
 
 
 def first_topics(file: Path) -> set[str]:

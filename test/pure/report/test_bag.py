@@ -189,6 +189,18 @@ def test_a_killed_writer_leaves_all_flushed_messages(tmp_path: Path) -> None:
         assert reader.message_count == 40
 
 
+def test_a_bag_that_lacks_a_part_is_not_whole(tmp_path: Path) -> None:
+    """A renamed file is no missing part."""
+    write(tmp_path / "bag")
+    bag_file(tmp_path / "bag").rename(tmp_path / "bag" / "other.mcap")
+    assert read_bag(tmp_path / "bag").whole
+    metadata = tmp_path / "bag" / "metadata.yaml"
+    text = metadata.read_text()
+    assert "  - bag.mcap\n" in text
+    metadata.write_text(text.replace("  - bag.mcap\n", "  - other.mcap\n  - bag_1.mcap\n"))
+    assert "lacks bag_1.mcap of the 2 files" in read_bag(tmp_path / "bag").missing
+
+
 @given(share=st.floats(0.0, 1.0))
 def test_a_truncated_bag_gives_the_messages_before_the_cut_or_an_error(share, tmp_path_factory):
     folder = tmp_path_factory.mktemp("cut")
