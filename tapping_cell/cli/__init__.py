@@ -30,6 +30,7 @@ VERBS = {
     "status": "show the state of a running cell and what it is waiting for",
     "watch": "watch a running cell in the terminal",
     "home": "home the arm of a running cell",
+    "jog": "move the arm of a running cell step by step, in set-up mode",
     "stop": "stop a running cell immediately",
     "clear": "clear the stop and the faults of a running cell",
     "evaluate": "evaluate a planning method in many simulated trials",
@@ -57,7 +58,7 @@ VERBS = {
 GROUPS = {
     "try the cell": ["demo", "up"],
     "operate a cell": ["goal", "arrange", "status", "watch", "home", "stop", "clear", "report"],
-    "set up a cell": ["commission", "calibrate", "check-config", "doctor", "urdf"],
+    "set up a cell": ["commission", "jog", "calibrate", "check-config", "doctor", "urdf"],
     "describe an object": ["new-object", "learn-object", "single-tap", "fit", "locate"],
     "keep a cell running": ["deploy", "undeploy", "backup", "restore", "bundle"],
     "plan and evaluate": ["evaluate", "sensitivity", "paper"],

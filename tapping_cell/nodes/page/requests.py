@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+from tapping_cell.logic import jogging
 from tapping_cell.se2 import Pose
 
 LARGEST_MESSAGE = 4096
@@ -160,6 +161,14 @@ class SetPlanner:
 
 
 @dataclass(frozen=True, slots=True)
+class Jog:
+    """Move the arm by a step (m or rad) along an axis of ``jogging.AXES``."""
+
+    axis: str
+    step: float
+
+
+@dataclass(frozen=True, slots=True)
 class Command:
     """One of COMMANDS, without arguments."""
 
@@ -182,6 +191,7 @@ Request = (
     | Confirm
     | SetAsk
     | SetPlanner
+    | Jog
     | Command
 )
 
@@ -193,6 +203,8 @@ COMMANDS = (
     "press_button",
     "enable",
     "disable",
+    "park",
+    "fire_at_nothing",
     "run_queue",
     "hold_queue",
 )
@@ -257,6 +269,13 @@ def _list(content: Content, name: str) -> list[object]:
     if not isinstance(value, list) or len(value) > MAX_OBJECTS:
         raise BadRequest(f"{name} is not a list of at most {MAX_OBJECTS} entries")
     return value
+
+
+def _jog(content: Content) -> Jog:
+    axis, step = content.get("axis"), _number(content, "step")
+    if not isinstance(axis, str) or axis not in jogging.AXES:
+        raise BadRequest(f"axis is {_shown(axis)}, but must be one of {', '.join(jogging.AXES)}")
+    return Jog(axis, 1e-3 * step if jogging.is_length(axis) else math.radians(step))
 
 
 def _tolerance(content: Content) -> tuple[float, float]:
@@ -345,5 +364,6 @@ PARSERS: dict[str, Callable[[Content], Request]] = {
     "confirm": lambda c: Confirm(_whole(c, "tap_id"), _truth(c, "confirm")),
     "set_ask": lambda c: SetAsk(_truth(c, "ask")),
     "set_planner": lambda c: SetPlanner(_name(c, "planner")),
+    "jog": _jog,
 }
 KINDS = (*PARSERS, *COMMANDS)
