@@ -25,13 +25,10 @@ from tapping_cell.cli.errors import ExitStatus, print_error
 from tapping_cell.logic import jogging
 from tapping_cell.messages import Jog
 from tapping_cell.nodes.clients.cell_client import CellClient
-from tapping_cell.nodes.clients.enabling_client import EnablingClient
 from tapping_cell.nodes.clients.single_tap_client import NoAnswer, SingleTapClient
 from tapping_cell.nodes.page.calls import shot_words
 
 PARK, FIRE = "park", "fire"
-ENABLED_S = 2.0
-"""Time for which the command waits until the arm reports that an enabling device is held, s."""
 LONGEST_MOTION_S = 120.0
 POLL_S = 0.05
 
@@ -58,9 +55,8 @@ def run(arguments: argparse.Namespace, client: CellClient) -> int:
         needed = "takes no step" if step is not None else "needs a step, such as  jog x 5"
         print_error(f"{axis} {needed}")
         return ExitStatus.REFUSED
-    cell = client.wait_for_cell(cell_arguments.TIMEOUT_S)
-    with EnablingClient(held=cell["simulated"], namespace=arguments.namespace):
-        _wait_until_enabled(client)
+    client.wait_for_cell(cell_arguments.TIMEOUT_S)
+    with cell_arguments.key_held(arguments, client):
         if axis == FIRE:
             return _fire(arguments.namespace, client)
         if axis == PARK:
@@ -70,13 +66,6 @@ def run(arguments: argparse.Namespace, client: CellClient) -> int:
             request = jogging.request(axis, unit * step)
         client.jog(request)
         return _ended(client)
-
-
-def _wait_until_enabled(client: CellClient) -> None:
-    """Wait for a moment until an enabling device is held; if none is, the arm's refusal says so."""
-    deadline = time.monotonic() + ENABLED_S
-    while not client.state()["set_up"]["enabled"] and time.monotonic() < deadline:
-        time.sleep(POLL_S)
 
 
 def _ended(client: CellClient) -> int:
@@ -117,4 +106,5 @@ def _fire(namespace: str, client: CellClient) -> int:
         print_error(result.error_msg, result.error_code)
         return ExitStatus.FAILED
     print(shot_words(result))
-    return ExitStatus.DONE
+    # The key is held until the arm has withdrawn.
+    return _ended(client)

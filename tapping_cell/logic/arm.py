@@ -378,10 +378,10 @@ class ArmLogic(DeviceLogic[State, Event]):
                 " charged; jog again afterwards",
             )
         age = self._readings.age(now)
-        if self._readings.of_homed_arm is None or age > FRESH_READING_S:
+        if self._readings.of_homed_arm is None or age > jogging.OLDEST_READING_S:
             return (
                 ErrorCode.ARM_TIMEOUT,
-                f"the last measured position is {age:.2f} s old (limit {FRESH_READING_S:.2f} s);"
+                f"the last measured position is {age:.2f} s old (limit {jogging.OLDEST_READING_S:g} s);"
                 " jog again, and check the arm's connection if this repeats",
             )
         return None

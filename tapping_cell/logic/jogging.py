@@ -17,6 +17,8 @@ LARGEST_STEP_RAD = math.radians(5.0)
 LARGEST_JOINT_CHANGE_RAD = math.radians(20.0)
 """Maximum change of a joint by a step of the tip. Near a straight or folded elbow, a small step
 needs large angles, and at its limit the tool would turn once around."""
+OLDEST_READING_S = 1.0
+"""Maximum age of the measured position from which a step is computed, s."""
 _SLACK = 1e-9
 AXES = {
     **{axis: (Jog.Request.TIP, index) for index, axis in enumerate(("x", "y", "z", "yaw"))},
@@ -84,8 +86,9 @@ def _invalid(request: Jog.Request) -> CodedError | None:
         if not abs(value) <= limit + _SLACK:
             scale, unit = (1e3, "mm") if length else (180.0 / math.pi, "deg")
             shown, most = f"{scale * value:g} {unit}", f"{scale * limit:g} {unit}"
+            axis = next(name for name, at in AXES.items() if at == (request.kind, index))
             return (
                 ErrorCode.COMMAND_INVALID,
-                f"number {index + 1} of the step is {shown}; a step is at most {most}",
+                f"the step of {axis} is {shown}; a step is at most {most}",
             )
     return None

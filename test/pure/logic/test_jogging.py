@@ -219,8 +219,8 @@ def test_no_step_begins_while_the_striker_may_be_charged(late: float) -> None:
 
 def test_an_old_position_refuses() -> None:
     arm = ready_arm()
-    arm.on_message(enabling.TOPIC, HELD, at(START + 0.3))
-    assert refused(arm, START + 0.3) == ErrorCode.ARM_TIMEOUT
+    arm.on_message(enabling.TOPIC, HELD, at(START + 1.01))
+    assert refused(arm, START + 1.01) == ErrorCode.ARM_TIMEOUT
 
 
 def test_a_conflict_between_nodes_refuses() -> None:

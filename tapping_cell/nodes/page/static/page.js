@@ -215,7 +215,7 @@ function render() {
   renderPicture();
   for (const id of ["send", "goal-x", "goal-y", "goal-angle", "confirm-yes"]) $(id).disabled = !connected;
   renderStop();
-  renderEnabling(state && state.set_up, connected);
+  renderEnabling(state && state.set_up, connected, state && state.arm);
   renderJog(state, connected);
   if (!state) {
     for (const id of ["cancel", "home-ghost"]) $(id).disabled = true;
