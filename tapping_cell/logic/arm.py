@@ -381,8 +381,9 @@ class ArmLogic(DeviceLogic[State, Event]):
         if self._readings.of_homed_arm is None or age > jogging.OLDEST_READING_S:
             return (
                 ErrorCode.ARM_TIMEOUT,
-                f"the last measured position is {age:.2f} s old (limit {jogging.OLDEST_READING_S:g} s);"
-                " jog again, and check the arm's connection if this repeats",
+                f"the last measured position is {age:.2f} s old (limit"
+                f" {jogging.OLDEST_READING_S:g} s); jog again, and check the arm's connection if this"
+                " repeats",
             )
         return None
 

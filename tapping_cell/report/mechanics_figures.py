@@ -117,7 +117,7 @@ def _ratios(axes: Axes, sliding: Sliding) -> None:
         xlabel="share of the slide's duration (%)",
         ylabel="v / (R omega)",
         yscale="log",
-        title="The final ratio does not depend on the initial velocities",
+        title="The final ratio does not depend\non the initial velocities",
     )
     axes.set_ylim(0.02, 50)
     axes.legend(fontsize=7)
