@@ -382,8 +382,7 @@ class ArmLogic(DeviceLogic[State, Event]):
             return (
                 ErrorCode.ARM_TIMEOUT,
                 f"the last measured position is {age:.2f} s old (limit"
-                f" {jogging.OLDEST_READING_S:g} s); jog again, and check the arm's connection if this"
-                " repeats",
+                f" {jogging.OLDEST_READING_S:g} s); jog again; if this repeats, check the line",
             )
         return None
 

@@ -17,7 +17,7 @@ from tapping_cell.report.arrangement_figures import draw_scene
 from tapping_cell.report.palette import GOAL, LINE, MUTED, REST, START, STRIKE, TABLE, WAITING
 from tapping_cell.report.run import Run, TapRow
 from tapping_cell.report.svg import MOUNT_MM, NAME_BEHIND_MM
-from tapping_cell.report.words import counted, motion, remaining_error
+from tapping_cell.report.words import counted, motion, numbers_in_words, remaining_error
 from tapping_cell.se2 import Array, Pose, transform_points
 
 MAX_IN_WORDS = 6
@@ -195,12 +195,12 @@ def _ends_of_taps(run: Run) -> dict[tuple[float, float], str]:
     two labels count as one place."""
     poses = [pose for tap in _seen(run) for pose in (tap.before, tap.measured)]
     spans = np.ptp([_mm(pose) for pose in poses], axis=0) if poses else np.zeros(1)
-    near, found = 0.15 * float(np.max(spans)), dict[tuple[float, float], str]()
+    near, found = 0.15 * float(np.max(spans)), dict[tuple[float, float], list[int]]()
     for tap in _seen(run):
         here = _mm(tap.measured)
         place = next((each for each in found if math.dist(each, here) <= near), here)
-        found[place] = f"{found[place]}, {tap.number}" if place in found else str(tap.number)
-    return found
+        found.setdefault(place, []).append(tap.number)
+    return {place: numbers_in_words(numbers) for place, numbers in found.items()}
 
 
 def _draw_residuals(upper: Axes, lower: Axes, run: Run) -> None:
@@ -224,6 +224,6 @@ def _draw_residuals(upper: Axes, lower: Axes, run: Run) -> None:
             axes.annotate(
                 f"{value:.2f}", (number, value), (6, 4), textcoords="offset points", fontsize=8
             )
-        axes.set(ylabel=label, xlabel="taps", xlim=(-0.3, len(run.taps) + 0.6))
+        axes.set(ylabel=label, xlabel="taps", xlim=(-0.3, 1.15 * len(run.taps) + 0.6))
         axes.set_ylim(0, 1.15 * max([*values, 2 * limit, 1.0]))
         axes.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))

@@ -18,7 +18,7 @@ MOUNT_MM = np.array(
     [[0.0, 3.0], [-4.0, 8.0], [-20.0, 8.0], [-20.0, -8.0], [-4.0, -8.0], [0.0, -3.0]]
 )
 """Outline of a fixed tapper in its own frame, mm: a symbol, not a part."""
-NAME_BEHIND_MM = 27.0
+NAME_BEHIND_MM = 32.0
 """Distance from a fixed tapper's tip back to its name, mm."""
 _ELLIPSE_95 = math.sqrt(-2.0 * math.log(0.05))
 """Radius of the 95 % region of a bivariate normal distribution, in standard deviations."""

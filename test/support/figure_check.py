@@ -44,6 +44,7 @@ def problems(figure: Figure) -> list[str]:
     boxes = [(_shown(text), Text.get_window_extent(text, renderer)) for text in _texts(figure)]
     return [
         *_clipped(figure, boxes),
+        *_leaving(figure, renderer),
         *_overlapping(boxes),
         *(each for axes in figure.axes for each in _covered(axes, renderer)),
         *(each for axes in figure.axes for each in _distorted(axes)),
@@ -85,6 +86,17 @@ def _clipped(figure: Figure, boxes: list[tuple[str, Bbox]]) -> Iterator[str]:
     for name, box in boxes:
         if not (whole.contains(*box.min) and whole.contains(*box.max)):
             yield f"{name} is clipped"
+
+
+def _leaving(figure: Figure, renderer: Any) -> Iterator[str]:
+    """Return the texts in a plot that cross its frame."""
+    for axes in figure.axes:
+        frame = axes.bbox.padded(SLACK_PX)
+        for text in axes.texts:
+            box = Text.get_window_extent(text, renderer)
+            inside = [frame.contains(*corner) for corner in (box.min, box.max)]
+            if text.get_text() and any(inside) and not all(inside):
+                yield f"{_shown(text)} crosses the frame of its plot"
 
 
 def _overlapping(boxes: list[tuple[str, Bbox]]) -> Iterator[str]:
