@@ -118,8 +118,8 @@ def _draw_table(axes: Axes, run: Run) -> None:
     for name, tip in run.mounts:
         body = 1000 * transform_points(tip, MOUNT_MM / 1000)
         axes.add_patch(Polygon(body, facecolor=LINE, edgecolor=MUTED))
-        behind = 1000 * transform_points(tip, [[-NAME_BEHIND_MM / 1000, 0.0]])[0]
-        axes.text(*behind, name, ha="center", va="center", fontsize=7)
+        behind = transform_points(tip, [[-NAME_BEHIND_MM / 1000, 0.0]])[0]
+        axes.text(1000 * behind[0], 1000 * behind[1], name, ha="center", va="center", fontsize=7)
         x, y = np.maximum((x, y), np.abs(body).max(axis=0))
     numbered: list[Array] = []
     for tap in run.taps:
@@ -224,6 +224,6 @@ def _draw_residuals(upper: Axes, lower: Axes, run: Run) -> None:
             axes.annotate(
                 f"{value:.2f}", (number, value), (6, 4), textcoords="offset points", fontsize=8
             )
-        axes.set(ylabel=label, xlabel="taps", xlim=(-0.3, 1.15 * len(run.taps) + 0.6))
+        axes.set(ylabel=label, xlabel="taps", xlim=(-0.3, 1.2 * len(run.taps) + 0.6))
         axes.set_ylim(0, 1.15 * max([*values, 2 * limit, 1.0]))
         axes.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
