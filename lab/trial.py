@@ -125,6 +125,7 @@ SUBSCRIPTIONS = {
         "tapper_state",
         "joint_trajectory",
         "enabling",
+        "plan_state",
         "camera/pose",
         "emergency_stop",
     ),

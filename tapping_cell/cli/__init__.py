@@ -29,6 +29,7 @@ VERBS = {
     "goal": "send a goal, of one object or several, to a running graph",
     "status": "show the state of a running cell and what it is waiting for",
     "home": "home the arm of a running cell",
+    "jog": "move the arm of a running cell step by step, in set-up mode",
     "stop": "stop a running cell immediately",
     "clear": "clear the stop and the faults of a running cell",
     "evaluate": "evaluate a planning method in many simulated trials",
@@ -54,7 +55,7 @@ VERBS = {
 GROUPS = {
     "try the cell": ["demo", "up"],
     "operate a cell": ["goal", "status", "home", "stop", "clear", "report"],
-    "set up a cell": ["commission", "calibrate", "check-config", "urdf"],
+    "set up a cell": ["commission", "jog", "calibrate", "check-config", "urdf"],
     "describe an object": ["object", "single-tap", "locate"],
     "keep a cell running": ["deploy", "update", "undeploy", "backup", "restore", "bundle"],
     "plan and evaluate": ["evaluate", "sensitivity", "paper"],

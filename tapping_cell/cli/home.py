@@ -1,5 +1,6 @@
 """Home the arm of a running cell, and wait until homing is complete. Before you call it, check that
-the arm's path is free.
+the arm's path is free. In set-up mode, hold the enabling device; in the simulated cell the command
+holds the key itself.
 
 python -m tapping_cell home
 """
@@ -29,8 +30,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace, client: CellClient) -> int:
     """Run the verb. Return 0 if the arm is homed and idle, otherwise 1 with a message."""
     client.wait_for_cell(cell_arguments.TIMEOUT_S)
+    with cell_arguments.key_held(arguments, client):
+        return _home(client, arguments.wait)
+
+
+def _home(client: CellClient, patience: float) -> int:
+    """Home the arm, and wait until it is homed. Return the exit code."""
     print(client.home())
-    deadline = time.monotonic() + arguments.wait
+    deadline = time.monotonic() + patience
     begun = False
     while time.monotonic() < deadline:
         arm = client.state()["arm"]
@@ -43,7 +50,7 @@ def run(arguments: argparse.Namespace, client: CellClient) -> int:
             return ExitStatus.FAILED
         time.sleep(0.05)
     print_error(
-        f"the arm was not homed within {arguments.wait:.0f} s; check it with  "
+        f"the arm was not homed within {patience:.0f} s; check it with  "
         "python -m tapping_cell status"
     )
     return ExitStatus.FAILED

@@ -20,7 +20,7 @@ from tapping_cell.hardware.arm_settings import HomingStrategy
 from tapping_cell.hardware.faults import LINE_LOST, FaultReason, HardwareFault
 from tapping_cell.hardware.motion import MotionSettings, Waypoint, check_limits
 from tapping_cell.hardware.scara import Joints, ScaraGeometry, TipPose
-from tapping_cell.logic import arm_jobs, enabling, tap_commands
+from tapping_cell.logic import arm_jobs, enabling, jogging, tap_commands
 from tapping_cell.logic.arm_jobs import MotionEnd, Reading
 from tapping_cell.logic.arm_readings import ArmReadings
 from tapping_cell.logic.arm_states import AT_WORK, HEALTHY, TABLE, WIRE, Event, S, State
@@ -39,6 +39,7 @@ from tapping_cell.logic.effects import (
 )
 from tapping_cell.logic.enabling import EnablingDevice
 from tapping_cell.logic.error_codes import of_arm
+from tapping_cell.logic.goal_watch import FINAL_STATES
 from tapping_cell.logic.host import Configured
 from tapping_cell.logic.poses import from_message
 from tapping_cell.logic.standing_still import StandingStill
@@ -49,7 +50,9 @@ from tapping_cell.messages import (
     ArmState,
     ErrorCode,
     HoldStill,
+    Jog,
     JointTrajectory,
+    PlanState,
     TapCommand,
     TapperState,
 )
@@ -112,6 +115,8 @@ class ArmLogic(DeviceLogic[State, Event]):
         self._to_park = False
         self._leaving_since = -math.inf
         self._enabling = EnablingDevice()
+        self._goal_active = False
+        """Whether the planner's last report is of a goal under way."""
         self._locked = False
         """Whether the last attempt to connect found the controller in a state, such as sleep, in
         which it refuses queries."""
@@ -132,6 +137,8 @@ class ArmLogic(DeviceLogic[State, Event]):
             self._watch_enabling(now)
         elif topic == "joint_trajectory":
             self._trajectory(message, now)
+        elif topic == "plan_state":
+            self._goal_active = message.state not in (PlanState.IDLE, *FINAL_STATES)
         elif topic == enabling.TOPIC:
             self._enabling.on_key(message.data, now)
             self._watch_enabling(now)
@@ -142,12 +149,20 @@ class ArmLogic(DeviceLogic[State, Event]):
     def _handle_request(self, service: str, request: Message, token: Token, now: Now) -> None:
         if service == "~/home":
             self._home(token, now)
+        elif service == "~/jog":
+            code, sentence = self._jog(request, now) or (ErrorCode.NONE, "")
+            accepted = code == ErrorCode.NONE
+            self._effects.append(
+                Answer(token, Jog.Response(accepted=accepted, error_code=code, error_msg=sentence))
+            )
         elif service == "hold_still":
             self._effects.append(Answer(token, self._hold_still(request, now)))
 
     def _failure(self, service: str, sentence: str) -> Message:
         if service == "hold_still":
             return HoldStill.Response(error_code=ErrorCode.INTERNAL, error_msg=sentence)
+        if service == "~/jog":
+            return Jog.Response(error_code=ErrorCode.INTERNAL, error_msg=sentence)
         return super()._failure(service, sentence)
 
     def _handle_answer(self, token: Token, response: Message | None, now: Now) -> None:
@@ -310,6 +325,66 @@ class ArmLogic(DeviceLogic[State, Event]):
         self._run_when_free("home", home, now)
 
     # Set-up mode
+
+    def _jog(self, request: Jog.Request, now: Now) -> CodedError | None:
+        """Begin a manual motion, or return why it is refused."""
+        if (error := self._jog_refusal(now)) is not None:
+            return error
+        if request.kind == Jog.Request.PARK:
+            self._error = (ErrorCode.NONE, "")
+            self._park(now)
+            return None
+        reading = self._readings.of_homed_arm
+        assert reading is not None
+        goal = jogging.target(self._cell, reading.joints, request)
+        if not isinstance(goal, Joints):
+            return goal
+        self._machine.move(Event.JOG, S.FOLLOWING)
+        self._error = (ErrorCode.NONE, "")
+        self._clear_of_camera = False
+        scale = self._motion().near_speed
+        job = partial(arm_jobs.follow, targets=[(goal, 0.0)], scale=scale)
+        self._run_when_free("follow", job, now)
+        return None
+
+    def _jog_refusal(self, now: Now) -> CodedError | None:
+        """Return why the arm begins no manual motion now, or None."""
+        if not self._active:
+            return INACTIVE_ERROR
+        if self._conflict is not None:
+            return self._conflict
+        if not self._options.set_up:
+            return (
+                ErrorCode.NOT_IN_SET_UP,
+                "the arm is jogged in set-up mode only; start the cell with  python -m"
+                " tapping_cell up --set-up",
+            )
+        if self.state is S.NOT_HOMED:
+            return self._error
+        if self.state is not S.IDLE:
+            reason = self._error[1] or f"its state is {self.state.value}"
+            return ErrorCode.ARM_BUSY, f"the arm is not idle ({reason}); wait, then jog again"
+        if self._goal_active:
+            return (
+                ErrorCode.PLANNER_BUSY,
+                "a goal or a single tap is under way; wait for its end, or cancel it",
+            )
+        if not self._enabled(now):
+            return enabling.RELEASED
+        if (left := self._still.free_at(now) - now.steady) > 0:
+            return (
+                ErrorCode.ARM_BUSY,
+                f"the arm must stand still for another {left:.1f} s, because the striker may be"
+                " charged; jog again afterwards",
+            )
+        age = self._readings.age(now)
+        if self._readings.of_homed_arm is None or age > jogging.OLDEST_READING_S:
+            return (
+                ErrorCode.ARM_TIMEOUT,
+                f"the last measured position is {age:.2f} s old (limit"
+                f" {jogging.OLDEST_READING_S:g} s); jog again; if this repeats, check the line",
+            )
+        return None
 
     def _enabled(self, now: Now) -> bool:
         """Return whether set-up mode allows the arm to begin to move."""

@@ -44,6 +44,7 @@ class Event(Enum):
     PARK = "withdraw again"
     CLEAR_VIEW = "clear view"
     TRAJECTORY = "trajectory"
+    JOG = "jog"
     FOLLOWED = "followed"
     FAILED = "failed"
     STOP = "stop"
@@ -74,6 +75,7 @@ TABLE = table(
         ((S.IDLE, S.WITHDRAWING), Event.PARK, (S.WITHDRAWING,)),
         ((S.IDLE,), Event.CLEAR_VIEW, (S.WITHDRAWING,)),
         ((S.IDLE,), Event.TRAJECTORY, (S.FOLLOWING,)),
+        ((S.IDLE,), Event.JOG, (S.FOLLOWING,)),
         ((S.FOLLOWING,), Event.FOLLOWED, (S.IDLE,)),
         (UNSTOPPED, Event.FAILED, (S.FAULT, S.NOT_HOMED, S.DISCONNECTED)),
         (tuple(State), Event.STOP, (S.STOPPED,)),

@@ -43,11 +43,15 @@ from tapping_cell.planning.arrangement import Body, bodies_among, check_goals
 from tapping_cell.planning.gains import NAMES
 from tapping_cell.planning.precision_limit import precision_limit
 from tapping_cell.planning.session import GoalSession
+from tapping_cell.planning.shot_at_nothing import ShotAtNothing
 from tapping_cell.se2 import Array, Pose
 
 APPEARANCE_KEYS = ("name", "marker", "outline", "calibration")
 """Fields of an object file that do not affect how the object slides."""
 
+SAFELY_SLOWEST = 1.001
+"""Speed of a shot at nothing, as a multiple of the tapper's slowest speed: rounding must not make
+it slower than the range."""
 LONGEST_MEMORY_S = 5.0
 """Maximum time for which an arrangement waits for an object that is not seen, s. It is less than
 the default of ``observe_deadline``, after which the arrangement would end."""
@@ -384,6 +388,10 @@ class GoalHandling:
     ) -> SingleTapTask | Refused:
         """Return a task for a single tap, or why it is refused. ``pose``: observed pose, if any."""
         curve = self.cell.file.tapper.curve()
+        if asked.at_nothing:
+            speed, stroke = SAFELY_SLOWEST * curve.slowest, self.cell.file.tapper.stroke
+            shot = ShotAtNothing(speed, stroke, self.map.experiments, self.map.free, self._gains)
+            return self._single(shot, pose, token, now)
         if not curve.slowest <= asked.striker_speed <= curve.fastest:
             return Refused(
                 ErrorCode.TAPPER_SPEED_OUT_OF_RANGE,
@@ -399,6 +407,12 @@ class GoalHandling:
         session = PrescribedSession(
             tap, self.map.experiments, self.map.free, self._gains, adapt=self._adapt
         )
+        return self._single(session, pose, token, now)
+
+    def _single(
+        self, session: PrescribedSession, pose: Pose | None, token: Token, now: Now
+    ) -> SingleTapTask:
+        """Return the task of one tap; ``pose``: observed pose, if any."""
         # Until the tap is planned, the object's current pose is stored as the goal.
         goal = pose or Pose(0.0, 0.0, 0.0)
         message = PoseStamped(pose=to_message(goal))

@@ -309,6 +309,7 @@ class ErrorCode:
     MARKER_AMBIGUOUS: ClassVar[int] = 309
     NONE: ClassVar[int] = 0
     NOT_ACTIVE: ClassVar[int] = 903
+    NOT_IN_SET_UP: ClassVar[int] = 912
     NOT_READY: ClassVar[int] = 902
     NO_ARRANGEMENT: ClassVar[int] = 412
     NO_CONTACT_FOUND: ClassVar[int] = 406
@@ -738,6 +739,34 @@ class HoldStill:
         error_msg: str = ""
 
 
+class Jog:
+    """Mirror of ``tapping_cell_msgs/srv/Jog``."""
+
+    ROS_TYPE: ClassVar[str] = "tapping_cell_msgs/srv/Jog"
+
+    @dataclass(slots=True, kw_only=True)
+    class Request:
+        """Mirror of ``tapping_cell_msgs/srv/Jog.Request``."""
+
+        ROS_TYPE: ClassVar[str] = "tapping_cell_msgs/srv/Jog.Request"
+        JOINTS: ClassVar[int] = 0
+        PARK: ClassVar[int] = 2
+        TIP: ClassVar[int] = 1
+
+        kind: int = 0
+        step: list[float] = field(default_factory=lambda: [0.0] * 4)
+
+    @dataclass(slots=True, kw_only=True)
+    class Response:
+        """Mirror of ``tapping_cell_msgs/srv/Jog.Response``."""
+
+        ROS_TYPE: ClassVar[str] = "tapping_cell_msgs/srv/Jog.Response"
+
+        accepted: bool = False
+        error_code: int = 0
+        error_msg: str = ""
+
+
 class ArrangeObjects:
     """Mirror of ``tapping_cell_msgs/action/ArrangeObjects``."""
 
@@ -842,6 +871,7 @@ class SingleTap:
         incidence: float = 0.0
         direction: float = 0.0
         slack: float = 0.0
+        at_nothing: bool = False
 
     @dataclass(slots=True, kw_only=True)
     class Result:

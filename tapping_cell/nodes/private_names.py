@@ -11,6 +11,7 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription
 from std_srvs.srv import Trigger
+from tapping_cell_msgs.srv import Jog
 
 STATE_TOPICS = {
     "scara_arm": "arm_state",
@@ -19,6 +20,8 @@ STATE_TOPICS = {
     "sim_world": "true_states",
 }
 """Topic that only the node of this role publishes."""
+KINDS = {"jog": Jog}
+"""Services that are not triggers."""
 PERIOD_S = 1.0
 """Period at which the names of the nodes are looked up, s."""
 
@@ -37,12 +40,14 @@ class PrivateNames:
         node.create_timer(PERIOD_S, self._follow)
 
     def client(self, role: str, service: str) -> Client:
-        """Return the client of the trigger service ``~/SERVICE`` of the node with this role."""
+        """Return the client of the service ``~/SERVICE`` of the node with this role."""
         name, made = self._name(role, service), self._clients.get((role, service))
         if made is None or made.srv_name != name:
             if made is not None:
                 self._node.destroy_client(made)
-            made = self._clients[role, service] = self._node.create_client(Trigger, name)
+            made = self._clients[role, service] = self._node.create_client(
+                KINDS.get(service, Trigger), name
+            )
         return made
 
     def subscribe(

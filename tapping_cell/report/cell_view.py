@@ -14,12 +14,15 @@ from matplotlib.ticker import MaxNLocator
 from tapping_cell.durable_file import part_of
 from tapping_cell.planning.evaluation.arrangements import ArrangementTrial
 from tapping_cell.report.arrangement_figures import draw_scene
-from tapping_cell.report.palette import GOAL, LINE, REST, START, STRIKE, TABLE, WAITING
+from tapping_cell.report.palette import GOAL, LINE, MUTED, REST, START, STRIKE, TABLE, WAITING
 from tapping_cell.report.run import Run, TapRow
-from tapping_cell.report.words import counted, motion, remaining_error
+from tapping_cell.report.svg import MOUNT_MM, NAME_BEHIND_MM
+from tapping_cell.report.words import counted, motion, numbers_in_words, remaining_error
 from tapping_cell.se2 import Array, Pose, transform_points
 
 MAX_IN_WORDS = 6
+MAX_LABELLED = 6
+"""Largest number of residuals that are all labelled; of more, only the first and the last are."""
 NUMBER_MM = 20.0
 """Distance between the numbers of two strikes in the plan of the table."""
 
@@ -112,6 +115,12 @@ def _draw_table(axes: Axes, run: Run) -> None:
             Polygon(at_goal, facecolor=GOAL, alpha=0.15, edgecolor=GOAL, lw=2.0, ls="--")
         )
         axes.plot(*_heading(run, one.goal).T, color=GOAL, lw=2.0, ls="--")
+    for name, tip in run.mounts:
+        body = 1000 * transform_points(tip, MOUNT_MM / 1000)
+        axes.add_patch(Polygon(body, facecolor=LINE, edgecolor=MUTED))
+        behind = transform_points(tip, [[-NAME_BEHIND_MM / 1000, 0.0]])[0]
+        axes.text(1000 * behind[0], 1000 * behind[1], name, ha="center", va="center", fontsize=7)
+        x, y = np.maximum((x, y), np.abs(body).max(axis=0))
     numbered: list[Array] = []
     for tap in run.taps:
         _draw_strike(axes, tap.strike, tap.number, numbered)
@@ -120,7 +129,7 @@ def _draw_table(axes: Axes, run: Run) -> None:
     axes.plot([], [], color=REST, label="at rest after a tap")
     axes.plot([], [], color=GOAL, ls="--", label="goal")
     axes.plot([], [], color=STRIKE, marker=">", label="strike, with the tap's number")
-    axes.legend(loc="lower left", fontsize=8)
+    _legend_below(axes)
     axes.set(title="the table from above", xlabel="x (mm)", ylabel="y (mm)", aspect="equal")
     axes.set(xlim=(-x - 15, x + 15), ylim=(-y - 15, y + 15))
 
@@ -156,12 +165,12 @@ def _draw_close_up(axes: Axes, run: Run) -> None:
     for tap in _seen(run):
         axes.annotate("", xy=_mm(tap.measured), xytext=_mm(tap.before), arrowprops=arrow)
         axes.plot(*_mm(tap.predicted), marker="x", color=WAITING, ms=6)
-        axes.annotate(
-            str(tap.number), _mm(tap.measured), (5, 6), textcoords="offset points", color=REST
-        )
+    # The taps that end at one place share one label.
+    for place, numbers in _ends_of_taps(run).items():
+        axes.annotate(numbers, place, (5, 6), textcoords="offset points", color=REST)
     axes.plot([], [], marker="x", ls="", color=WAITING, label="predicted end of a tap")
     axes.plot([], [], color=REST, label="measured move of a tap")
-    axes.legend(loc="best", fontsize=8)
+    _legend_below(axes)
     points = np.array([_mm(pose) for pose in ends] + [_mm(tap.measured) for tap in _seen(run)])
     if len(points):
         middle = (points.min(axis=0) + points.max(axis=0)) / 2
@@ -174,6 +183,24 @@ def _draw_close_up(axes: Axes, run: Run) -> None:
         ylabel="y (mm)",
         aspect="equal",
     )
+
+
+def _legend_below(axes: Axes) -> None:
+    """Put the legend below the axes, where it hides nothing."""
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=2, fontsize=8)
+
+
+def _ends_of_taps(run: Run) -> dict[tuple[float, float], str]:
+    """Return the numbers of the taps that end at each place, in mm; ends that are too close for
+    two labels count as one place."""
+    poses = [pose for tap in _seen(run) for pose in (tap.before, tap.measured)]
+    spans = np.ptp([_mm(pose) for pose in poses], axis=0) if poses else np.zeros(1)
+    near, found = 0.15 * float(np.max(spans)), dict[tuple[float, float], list[int]]()
+    for tap in _seen(run):
+        here = _mm(tap.measured)
+        place = next((each for each in found if math.dist(each, here) <= near), here)
+        found.setdefault(place, []).append(tap.number)
+    return {place: numbers_in_words(numbers) for place, numbers in found.items()}
 
 
 def _draw_residuals(upper: Axes, lower: Axes, run: Run) -> None:
@@ -192,9 +219,11 @@ def _draw_residuals(upper: Axes, lower: Axes, run: Run) -> None:
         axes.axhspan(0, limit, color=GOAL, alpha=0.15)
         axes.plot(numbers, values, marker="o", color=REST)
         for number, value in zip(numbers, values, strict=True):
+            if len(values) > MAX_LABELLED and number not in (numbers[0], numbers[-1]):
+                continue
             axes.annotate(
                 f"{value:.2f}", (number, value), (6, 4), textcoords="offset points", fontsize=8
             )
-        axes.set(ylabel=label, xlabel="taps", xlim=(-0.3, len(run.taps) + 0.6))
+        axes.set(ylabel=label, xlabel="taps", xlim=(-0.3, 1.2 * len(run.taps) + 0.6))
         axes.set_ylim(0, 1.15 * max([*values, 2 * limit, 1.0]))
-        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))

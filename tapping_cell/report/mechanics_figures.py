@@ -117,7 +117,7 @@ def _ratios(axes: Axes, sliding: Sliding) -> None:
         xlabel="share of the slide's duration (%)",
         ylabel="v / (R omega)",
         yscale="log",
-        title="Final ratio: independent of the start",
+        title="The final ratio does not depend\non the initial velocities",
     )
     axes.set_ylim(0.02, 50)
     axes.legend(fontsize=7, loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=2)

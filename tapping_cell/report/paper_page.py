@@ -159,7 +159,7 @@ def draw_causes(
     axis.set(xlabel="standard deviation of the measured position (mm)", ylabel="mean taps")
     axis.set_ylim(0, None)
     axis.grid(alpha=0.3)
-    axis.legend(fontsize=8, loc="upper left")
+    axis.legend(fontsize=8, loc="upper center", bbox_to_anchor=(0.5, -0.15), ncols=4)
     figure.savefig(path)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 from tapping_cell.report.run import Run
 from tapping_cell.report.svg import round_length
@@ -14,7 +15,8 @@ def residual_charts(runs: Sequence[Run], colours: Sequence[str]) -> list[dict[st
     template ``parts.html``. Each chart has one line per run, in the colour of the run. The list is
     empty if no run has taps.
 
-    The charts show the largest tolerance of the runs.
+    The area within the tolerance is filled. If the runs' tolerances differ, each run has a dashed
+    line at its own instead.
     """
     distances, rotations = [], []
     for run, colour in zip(runs, colours, strict=True):
@@ -24,32 +26,39 @@ def residual_charts(runs: Sequence[Run], colours: Sequence[str]) -> list[dict[st
             # would only compress the scale.
             continue
         poses = [run.first.start, *(tap.measured for tap in run.taps)]
-        distances.append((run.name, [1000 * pose.distance_to(goal) for pose in poses], colour))
+        far, turn = run.first.tolerance
+        moved = [1000 * pose.distance_to(goal) for pose in poses]
+        distances.append(_Line(run.name, moved, colour, 1000 * far))
         turns = [abs(math.degrees(pose.rotation_to(goal))) for pose in poses]
-        rotations.append((run.name, turns, colour))
+        rotations.append(_Line(run.name, turns, colour, math.degrees(turn)))
     if not distances:
         return []
-    far, turned = (max(run.first.tolerance[axis] for run in runs) for axis in (0, 1))
     return [
-        _chart("remaining distance (mm)", distances, 1000 * far),
-        _chart("remaining rotation (deg)", rotations, math.degrees(turned)),
+        _chart("remaining distance (mm)", distances),
+        _chart("remaining rotation (deg)", rotations),
     ]
 
 
-def _chart(
-    label: str, lines: Sequence[tuple[str, Sequence[float], str]], limit: float
-) -> dict[str, object]:
-    """Compute a chart of lines over the number of taps, 420 units wide and 200 high.
+@dataclass(frozen=True, slots=True)
+class _Line:
+    """Values of one run, the first before the first tap, and the run's tolerance."""
 
-    ``lines``: name, values (the first value is the one before the first tap) and colour of each
-    line.
-    """
+    name: str
+    values: Sequence[float]
+    colour: str
+    limit: float
+
+
+def _chart(label: str, lines: Sequence[_Line]) -> dict[str, object]:
+    """Compute a chart of lines over the number of taps, 420 units wide and 200 high."""
     left, right, top, bottom = 46.0, 394.0, 14.0, 166.0
-    most = max([limit * 1.5, *(v for _, values, _ in lines for v in values if math.isfinite(v))])
+    limits = {line.limit for line in lines}
+    measured = [value for line in lines for value in line.values if math.isfinite(value)]
+    most = max(1.5 * max(limits), *measured)
     step = round_length(most / 3)
     ticks = [step * index for index in range(math.floor(most / step + 1e-9) + 1)]
     most = max(most * 1.08, ticks[-1])
-    last = max(len(values) - 1 for _, values, _ in lines)
+    last = max(len(line.values) - 1 for line in lines)
 
     def x(index: int) -> float:
         return left + (right - left) * index / last
@@ -57,18 +66,21 @@ def _chart(
     def y(value: float) -> float:
         return top + (bottom - top) * (1 - value / most)
 
-    points = [[(i, v) for i, v in enumerate(values) if math.isfinite(v)] for _, values, _ in lines]
+    points = [[(i, v) for i, v in enumerate(line.values) if math.isfinite(v)] for line in lines]
     # With a single line, its points are labelled: all of them, or only the first and the last if
     # there are many.
     labelled = [(i, v) for i, v in points[0] if last < 8 or i in (0, last)]
     drawn = [
-        (name, colour, [(x(i), y(v)) for i, v in known])
-        for (name, _, colour), known in zip(lines, points, strict=True)
+        (line.name, line.colour, [(x(i), y(v)) for i, v in known])
+        for line, known in zip(lines, points, strict=True)
     ]
     return {
         "label": label,
         "axis": "taps",
-        "tolerance": (y(limit), y(0)),
+        "zero": y(0),
+        "tolerances": [(y(line.limit), line.colour) for line in lines]
+        if len(limits) > 1
+        else [(y(limit), "") for limit in limits],
         "ticks": [(y(tick), tick) for tick in ticks],
         "counts": [(x(index), index) for index in range(0, last + 1, max(1, math.ceil(last / 10)))],
         "lines": drawn,

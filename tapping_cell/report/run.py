@@ -270,6 +270,8 @@ class Run:
     errors: tuple[ErrorEvent, ...] = ()
     files: dict[str, str] = field(default_factory=dict)
     contacts: tuple[tuple[str, str], ...] | None = None
+    mounts: tuple[tuple[str, Pose], ...] = ()
+    """Names of the fixed tappers and their tips at rest; empty in a cell with an arm."""
     note: str = ""
     """Why the files show less than the run had; empty if they show all of it."""
 

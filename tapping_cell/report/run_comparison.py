@@ -24,6 +24,8 @@ class Row:
     outcome: str
     planner: str
     object_name: str
+    tolerance_distance: float
+    tolerance_rotation: float
     taps: int
     start_distance: float
     start_rotation: float
@@ -41,6 +43,8 @@ def row_of(run: Run) -> Row:
         run.outcome,
         run.planner,
         run.first.name if len(run.objects) == 1 else counted(len(run.objects), "object"),
+        1000 * run.first.tolerance[0],
+        math.degrees(run.first.tolerance[1]),
         len(run.taps),
         *_largest_residual((one.start, one.goal) for one in run.objects),
         *_largest_residual((one.end, one.goal) for one in run.objects),
@@ -103,21 +107,24 @@ def _mean(values: Sequence[float]) -> float:
 def comparison_page(runs: Sequence[Run], links: Sequence[str]) -> str:
     """Return a page that compares runs; ``links`` are the addresses of their pages."""
     rows = [row_of(run) for run in runs]
-    planners = sorted({run.planner for run in runs})
-    colours = {name: SERIES[index % len(SERIES)] for index, name in enumerate(planners)}
+    # Each run has its own colour while there are enough; otherwise, each planner has one.
+    named = [run.name if len(runs) <= len(SERIES) else run.planner for run in runs]
+    legend = {name: SERIES[index % len(SERIES)] for index, name in enumerate(dict.fromkeys(named))}
     return render(
         "comparison.html",
         rows=[(row, link, _numbers(row)) for row, link in zip(rows, links, strict=True)],
         reached=sum(row.outcome == "reached" for row in rows),
         groups=[_group(group) for group in groups_of(rows)],
-        charts=residual_charts(runs, [colours[run.planner] for run in runs]),
-        legend=colours,
+        charts=residual_charts(runs, [legend[name] for name in named]),
+        legend=legend,
+        tolerances_differ=len({run.first.tolerance for run in runs}) > 1,
     )
 
 
 def _numbers(row: Row) -> list[tuple[str, str]]:
     """Return the sort key and the text of each number of a run."""
     numbers = (
+        (row.tolerance_distance, _pair(row.tolerance_distance, row.tolerance_rotation)),
         (row.taps, str(row.taps)),
         (row.start_distance, _pair(row.start_distance, row.start_rotation)),
         (row.distance, _pair(row.distance, row.rotation)),

@@ -97,6 +97,9 @@ def summary(run: Run) -> dict[str, Any]:
         "errors": [[t.at, t.source, t.code, t.sentence] for t in run.errors],
         "outline_mm": [[1000 * x, 1000 * y] for x, y in one.outline],
         "table_mm": [1000 * size for size in run.table_size],
+        "mounts": [
+            [name, 1000 * tip.x, 1000 * tip.y, math.degrees(tip.theta)] for name, tip in run.mounts
+        ],
         "files": run.files,
         "objects": [_object_content(each) for each in run.objects],
         "contacts": None if run.contacts is None else [list(pair) for pair in run.contacts],
@@ -283,6 +286,10 @@ def _run(content: dict[str, Any], taps: tuple[TapRow, ...]) -> Run:
         error_code=content["error_code"],
         error_msg=content["error_msg"],
         table_size=(table[0] / 1000, table[1] / 1000),
+        mounts=tuple(
+            (name, Pose(x / 1000, y / 1000, math.radians(angle)))
+            for name, x, y, angle in content.get("mounts", ())
+        ),
         planner=content["planner"],
         began=math.nan if content["began"] is None else content["began"],
         phases=tuple(Phase(*phase) for phase in content["phases"]),

@@ -24,11 +24,11 @@ from tapping_cell.report.run import (
     TapRow,
 )
 from tapping_cell.report.run_reader import IllustratedRun
-from tapping_cell.report.svg import Plan, window
+from tapping_cell.report.svg import MOUNT_MM, NAME_BEHIND_MM, Plan, window
 from tapping_cell.report.tap_words import tap_sentence
 from tapping_cell.report.velocity_chart import velocity_chart
 from tapping_cell.report.words import counted, motion, remaining_error
-from tapping_cell.se2 import Array, Pose
+from tapping_cell.se2 import Array, Pose, transform_points
 
 SHORTEST_SHOWN_S = 0.05
 _HEADLINES = {
@@ -138,10 +138,22 @@ def _table_plan(run: Run) -> Plan:
         low, high = np.minimum(low, near - rim), np.maximum(high, near + rim)
     if not half.any():
         low, high = window([(1000 * p.x, 1000 * p.y) for p in places], 60.0, 200.0)
+    for _, tip in run.mounts:
+        body = 1000 * transform_points(tip, MOUNT_MM / 1000)
+        low, high = np.minimum(low, body.min(axis=0) - 15), np.maximum(high, body.max(axis=0) + 15)
     plan = Plan((low[0], low[1]), (high[0], high[1]))
     if half.any():
         plan.table(half)
+    _draw_mounts(plan, run)
     return plan
+
+
+def _draw_mounts(plan: Plan, run: Run) -> None:
+    """Draw the fixed tappers that lie inside the plan with their names."""
+    for name, tip in run.mounts:
+        behind = 1000 * transform_points(tip, [[-(NAME_BEHIND_MM + 5.0) / 1000, 0.0]])[0]
+        if np.all(behind > plan.low) and np.all(behind < plan.high):
+            plan.mount(name, tip)
 
 
 def _replay_plan(run: Run) -> Plan:
@@ -155,6 +167,7 @@ def _replay_plan(run: Run) -> Plan:
     half = 500 * np.asarray(run.table_size)
     if half.any():
         plan.table(half)
+    _draw_mounts(plan, run)
     return plan
 
 

@@ -122,6 +122,7 @@ def _run(
         error_code=code,
         error_msg=sentence,
         table_size=tuple(notes.get("table_size", (0.0, 0.0))),
+        mounts=tuple((name, Pose(*place)) for name, *place in notes.get("mounts", ())),
         began=began,
         phases=_phases(plans, began),
         activities=activities(bag, began, ended),

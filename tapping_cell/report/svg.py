@@ -14,6 +14,12 @@ from numpy.typing import ArrayLike
 from tapping_cell.report.palette import INK, LINE, MUTED, STRIKE, TABLE
 from tapping_cell.se2 import Array, Pose, transform_points
 
+MOUNT_MM = np.array(
+    [[0.0, 3.0], [-4.0, 8.0], [-20.0, 8.0], [-20.0, -8.0], [-4.0, -8.0], [0.0, -3.0]]
+)
+"""Outline of a fixed tapper in its own frame, mm: a symbol, not a part."""
+NAME_BEHIND_MM = 32.0
+"""Distance from a fixed tapper's tip back to its name, mm."""
 _ELLIPSE_95 = math.sqrt(-2.0 * math.log(0.05))
 """Radius of the 95 % region of a bivariate normal distribution, in standard deviations."""
 
@@ -27,6 +33,8 @@ class Plan:
 
     def __post_init__(self) -> None:
         self._parts: list[str] = []
+        self._numbered: list[Array] = []
+        """Places of the numbers of strikes, mm."""
         self.width = self.high[0] - self.low[0]
         self.height = self.high[1] - self.low[1]
         self.unit = max(self.width, self.height) / 100
@@ -74,8 +82,19 @@ class Plan:
         along = np.array([math.cos(strike.theta), math.sin(strike.theta)])
         tip = 1000 * np.array([strike.x, strike.y])
         self.arrow(tip - length * along, tip, STRIKE, width)
-        x, y = (tip - (length + 3 * self.unit) * along).tolist()
+        place = tip - (length + 3 * self.unit) * along
+        while any(np.hypot(*(place - other)) < 4 * self.unit for other in self._numbered):
+            place = place - self.unit * along
+        self._numbered.append(place)
+        x, y = place.tolist()
         self.text(x, y, str(number), STRIKE, 3.6)
+
+    def mount(self, name: str, tip: Pose) -> None:
+        """Draw a fixed tapper, whose striker travels along the x axis of ``tip``, and its name."""
+        body = transform_points(tip, MOUNT_MM / 1000)
+        self.polygon(1000 * body, f'fill="{LINE}" stroke="{MUTED}" stroke-width="1"')
+        x, y = (1000 * transform_points(tip, [[-NAME_BEHIND_MM / 1000, 0.0]])[0]).tolist()
+        self.text(x, y, name, INK, 2.2)
 
     def outline(
         self, outline: Array, pose: Pose, colour: str, dashed: bool = False, fill: float = 0.0

@@ -48,7 +48,7 @@ def velocity_chart(tap: TapRow, recorded: Poses) -> dict[str, object] | None:
     return {
         "label": "speed during the slide (mm/s)",
         "axis": "time since the launch (ms)",
-        "tolerance": None,
+        "tolerances": [],
         "ticks": [
             (place(0.0, 1e-3 * speeds * n)[1], speeds * n)
             for n in range(int(1e3 * most / speeds) + 1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 from tapping_cell.se2 import Pose
 
@@ -38,6 +39,14 @@ def expected_effort(taps: float, seconds: float) -> str:
     if not taps > 0.0:
         return ""
     return f"{taps:.1f} taps" + (f", {seconds:.1f} s" if math.isfinite(seconds) else "")
+
+
+def numbers_in_words(numbers: Sequence[int]) -> str:
+    """Return increasing numbers as text; three or more in succession as a range."""
+    first, last = numbers[0], numbers[-1]
+    if len(numbers) > 2 and last - first == len(numbers) - 1:
+        return f"{first} to {last}"
+    return ", ".join(map(str, numbers))
 
 
 def counted(number: int, thing: str) -> str:

@@ -6,7 +6,6 @@ from __future__ import annotations
 import contextlib
 import io
 import json
-import threading
 import time
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field
@@ -16,22 +15,18 @@ from typing import Any
 
 from rich.console import Console
 from rich.markup import escape
-from std_msgs.msg import Bool
 
 from tapping_cell.cli.errors import ExitStatus
 from tapping_cell.cli.graph import HARDWARE, SIMULATED, Graph, with_own_ports
 from tapping_cell.configuration.cell import Cell, load_cell
 from tapping_cell.configuration.schema import ConfigurationError
 from tapping_cell.durable_file import replace_text
-from tapping_cell.logic import enabling
-from tapping_cell.nodes.cell_node import COMMAND
-from tapping_cell.nodes.clients.client_node import ClientNode
+from tapping_cell.nodes.clients.enabling_client import EnablingClient
 
 RECORD = "commission.json"
 REMEDY = "restore the file, or choose another folder with --out"
 """Remedy for a damaged record. Deleting the file is no remedy, because the folder may contain files
 of a simulated session."""
-HEARTBEAT_S = 0.05
 
 
 class StepFailed(RuntimeError):
@@ -215,7 +210,10 @@ class Session:
             parameters = with_own_ports(parameters, self.ports)
             if truth is not None:
                 parameters["sim_world"]["truth_file"] = truth
-        with Graph(nodes, parameters, self.folder / "logs") as graph, _Enabling(self, set_up):
+        with (
+            Graph(nodes, parameters, self.folder / "logs") as graph,
+            EnablingClient(held=set_up and not self.hardware),
+        ):
             yield graph
 
     @property
@@ -243,31 +241,6 @@ def _problem(content: Any) -> str:
             if not isinstance(proof, Mapping) or not isinstance(proof.get(key), kind):
                 return f"key 'steps.{step}.{key}' is missing or of the wrong type"
     return ""
-
-
-class _Enabling(ClientNode):
-    """Hold the enabling key of the simulated cell in set-up mode, as a person does on the page."""
-
-    def __init__(self, session: Session, set_up: bool) -> None:
-        super().__init__("commission_enabling")
-        self._held = set_up and not session.hardware
-        self._publisher = self.node.create_publisher(Bool, enabling.TOPIC, COMMAND)
-        self._over = threading.Event()
-        self._heart = threading.Thread(target=self._send_heartbeats, daemon=True)
-
-    def __enter__(self) -> _Enabling:
-        super().__enter__()
-        self._heart.start()
-        return self
-
-    def __exit__(self, *error: Any) -> None:
-        self._over.set()
-        self._heart.join()
-        super().__exit__(*error)
-
-    def _send_heartbeats(self) -> None:
-        while self._held and not self._over.wait(HEARTBEAT_S):
-            self._publisher.publish(Bool(data=True))
 
 
 def wait(condition: Any, patience: float, what: str, graph: Graph) -> None:

@@ -1,7 +1,7 @@
 """Client that monitors and commands a whole cell from a terminal, as the page does in a browser.
 
-The verbs `up`, `status`, `home`, `stop`, `clear` and `commission` use this client. There
-is no separate executable for it.
+The verbs `up`, `status`, `home`, `jog`, `stop`, `clear` and `commission` use this client. There is
+no separate executable for it.
 """
 
 from __future__ import annotations
@@ -16,9 +16,11 @@ from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 from tapping_cell_msgs.msg import GoalReport, PlanState, StopState
 
+from tapping_cell.messages import Jog
 from tapping_cell.nodes.cell_node import LATCHED
 from tapping_cell.nodes.clients.client_node import ClientNode
-from tapping_cell.nodes.page.cell_view import CellView, Mode
+from tapping_cell.nodes.message_conversion import to_ros
+from tapping_cell.nodes.page.cell_view import CellView, Mode, with_code
 from tapping_cell.nodes.page.node_watch import ACTORS, ARM, CAMERAS, NOT_YET, NodeWatch
 from tapping_cell.nodes.private_names import PrivateNames
 
@@ -50,6 +52,7 @@ class CellClient(ClientNode):
         # The clients exist from the start, because the discovery of a server takes time.
         self._private = PrivateNames(self.node)
         self._private.client(ARM, "home")
+        self._private.client(ARM, "jog")
         self._private.client("sim_world", "press_clear_button")
         for actor in ACTORS:
             for service in ("stop", "clear_fault"):
@@ -68,13 +71,14 @@ class CellClient(ClientNode):
         return self.in_executor(self._view.mode)
 
     def state(self) -> dict[str, Any]:
-        """Return the state that the page shows. The entry ``nodes`` of this state contains the rows
-        of the page's list of nodes."""
+        """Return the state that the page shows, with the rows of the page's list of nodes
+        (``nodes``) and whether ``sim_world`` runs (``simulated``)."""
 
         def gather() -> dict[str, Any]:
             self._view.simulated = self._watch.runs("sim_world")
             self._watch.has_arm = self._view.has_arm
-            return {**self._view.state(), "nodes": self._watch.rows()}
+            state, simulated = self._view.state(), self._view.simulated
+            return {**state, "nodes": self._watch.rows(), "simulated": simulated}
 
         return self.in_executor(gather)
 
@@ -154,6 +158,12 @@ class CellClient(ClientNode):
         """Start homing the arm. Raises NotDone with the message of the arm's node."""
         return self._command(ARM, "home")
 
+    def jog(self, request: Jog.Request) -> None:
+        """Start a manual motion of the arm. Raises NotDone with the reason of a refusal."""
+        answer = self._response(ARM, "jog", to_ros(request))
+        if not answer.accepted:
+            raise NotDone(with_code(answer.error_msg, answer.error_code))
+
     def press_button(self) -> str:
         """Press the clear button of the simulated tapper. Raises NotDone if there is none."""
         return self._command("sim_world", "press_clear_button")
@@ -164,18 +174,25 @@ class CellClient(ClientNode):
             raise NotDone(message)
         return message
 
-    def _call(self, role: str, service: str, patience: float = 5.0) -> tuple[bool, str]:
+    def _call(self, role: str, service: str) -> tuple[bool, str]:
+        try:
+            answer = self._response(role, service, Trigger.Request())
+        except NotDone as error:
+            return False, str(error)
+        return bool(answer.success), f"{role}: {answer.message}"
+
+    def _response(self, role: str, service: str, request: Any, patience: float = 5.0) -> Any:
+        """Return the response of a service. Raises NotDone if there is none."""
         deadline = time.monotonic() + patience
         # The client is another one as soon as the node is found under another name.
         while not (client := self._ready_client(role, service)):
             if time.monotonic() > deadline:
-                return False, f"{role} does not answer; is it running?"
+                raise NotDone(f"{role} does not answer; is it running?")
             time.sleep(PERIOD_S)
         try:
-            answer = self.result_of(lambda: client.call_async(Trigger.Request()), patience)
+            return self.result_of(lambda: client.call_async(request), patience)
         except TimeoutError:
-            return False, f"{role} did not answer within {patience:.0f} s"
-        return bool(answer.success), f"{role}: {answer.message}"
+            raise NotDone(f"{role} did not answer within {patience:.0f} s") from None
 
     def _ready_client(self, role: str, service: str) -> Client | None:
         def find() -> Client | None:

@@ -118,6 +118,13 @@ class SingleTapClient(GoalClient):
         message = SingleTap.Goal(
             striker_speed=striker_speed, incidence=incidence, direction=direction, slack=slack
         )
+        return self._make(message, check)
+
+    def fire_at_nothing(self, check: Callable[[], None]) -> SingleTap.Result:
+        """Fire once, away from every object, and wait for the result. As :meth:`tap`."""
+        return self._make(SingleTap.Goal(at_nothing=True), check)
+
+    def _make(self, message: SingleTap.Goal, check: Callable[[], None]) -> SingleTap.Result:
         self._send_later(self._send_tap, message)
         begun = there = time.monotonic()
         try:

@@ -9,8 +9,10 @@ from typing import Any
 from rclpy.action import ActionClient
 from rclpy.client import Client
 from rclpy.task import Future
+from tapping_cell_msgs.action import SingleTap
 from tapping_cell_msgs.msg import ErrorCode
 
+from tapping_cell.nodes.conversions import from_message
 from tapping_cell.nodes.page.cell_view import with_code
 from tapping_cell.nodes.page.server import Answer
 from tapping_cell.report.error_codes import hint
@@ -54,10 +56,12 @@ def send_goal(
     what: str,
     answer: Answer,
     on_response: Callable[[], None] = lambda: None,
+    done: Callable[[Any], str] | None = None,
 ) -> bool:
     """Send a goal to the planner. Send the goal's result to the page when the goal has ended.
     ``what``: name of the goal in messages. ``on_response`` is called when the planner has accepted
-    or rejected the goal. Return False if the planner is not running."""
+    or rejected the goal. ``done`` makes the message for a result without an error. Return False if
+    the planner is not running."""
     if not action.server_is_ready():
         answer(answer_to(request, False, "the planner is not running; start tap_planner"))
         return False
@@ -74,7 +78,8 @@ def send_goal(
     def ended(future: Future) -> None:
         result = future.result().result
         if result.error_code == ErrorCode.NONE:
-            sentence = f"{what} reached after {counted(result.taps, 'tap')}"
+            reached = done or (lambda it: f"{what} reached after {counted(it.taps, 'tap')}")
+            sentence = reached(result)
             answer(answer_to(request, True, sentence))
             return
         sentence = with_code(result.error_msg, result.error_code)
@@ -82,3 +87,10 @@ def send_goal(
 
     action.send_goal_async(goal).add_done_callback(taken)
     return True
+
+
+def shot_words(result: SingleTap.Result) -> str:
+    """Return what a shot at nothing did, for the operator."""
+    record = result.record
+    before, after = from_message(record.object_pose), from_message(record.measured_pose.pose)
+    return f"fired at nothing; the object moved by {1e3 * before.distance_to(after):.1f} mm"

@@ -324,7 +324,7 @@ class CellView:
             "object": self._object_state(),
             "plan": self._plan_state(),
             "taps": self._taps,
-            "arm": self._device("arm", ARM_TEXTS) if self.has_arm else None,
+            "arm": self._arm_state() if self.has_arm else None,
             "tapper": self._device("tapper", TAPPER_TEXTS),
             "log": list(self._log),
         }
@@ -352,11 +352,26 @@ class CellView:
             return "No goal can be sent: the arm is not homed."
         return ""
 
-    def _set_up_state(self) -> dict[str, bool]:
-        """Return whether the cell is in set-up mode, and whether an enabling device is held."""
+    def _set_up_state(self) -> dict[str, object]:
+        """Return whether the cell is in set-up mode, whether an enabling device is held, and why
+        the arm cannot be jogged (None: it can, or the cell has no arm)."""
         arm, tapper = self._monitor.arm, self._monitor.tapper
         on = (arm is not None and arm.set_up) or (tapper is not None and tapper.set_up)
-        return {"on": on, "enabled": arm is not None and arm.enabled}
+        enabled = arm is not None and arm.enabled
+        return {"on": on, "enabled": enabled, "jog_blocked": self._jog_blocked()}
+
+    def _jog_blocked(self) -> str | None:
+        """Return why the page does not offer to jog the arm; None if it does."""
+        arm = self._recent("arm")
+        if arm is None or arm.state in (ArmState.STOPPED, ArmState.FAULT, ArmState.DISCONNECTED):
+            return "The arm is not ready."
+        if not arm.homed:
+            return "The arm is not homed."
+        if self.busy:
+            return "A goal or a single tap is under way."
+        if not arm.enabled:
+            return "Hold the key first."
+        return None
 
     def _object_state(self) -> dict[str, object]:
         seen = self._recent("object")
@@ -422,6 +437,15 @@ class CellView:
     def blocked(self) -> str:
         """Reason why no goal can be sent now, or an empty text."""
         return self._blocked(self.mode())
+
+    def _arm_state(self) -> dict[str, object]:
+        """Return the state of the arm, and its tip as x, y, z (mm) and yaw (degrees) if known."""
+        arm = self._monitor.arm
+        tip = None
+        if arm is not None and arm.homed:
+            x, y, yaw = triple(from_message(arm.tip_pose))
+            tip = [x, y, shown(1e3 * arm.tip_pose.position.z), yaw]
+        return {**self._device("arm", ARM_TEXTS), "tip": tip}
 
     def _device(self, who: str, texts: dict[int, str]) -> dict[str, object]:
         state = self._recent(who)

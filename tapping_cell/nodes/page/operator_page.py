@@ -26,22 +26,24 @@ from rclpy.timer import Timer
 from sensor_msgs.msg import Image
 from std_msgs.msg import Bool, String
 from std_srvs.srv import Trigger
-from tapping_cell_msgs.action import PositionObject
+from tapping_cell_msgs.action import PositionObject, SingleTap
 from tapping_cell_msgs.msg import ErrorCode, GoalReport, PlanState, StopState
 from tapping_cell_msgs.srv import ConfirmTap
 
+from tapping_cell import messages
 from tapping_cell.configuration.cell import Cell
 from tapping_cell.configuration.schema import quantity, text
-from tapping_cell.logic import enabling
+from tapping_cell.logic import enabling, jogging
 from tapping_cell.nodes.camera import images
 from tapping_cell.nodes.cell_identity import key_of, state_folder
 from tapping_cell.nodes.cell_node import COMMAND, LATCHED, CellNode, NotReady, run
 from tapping_cell.nodes.cell_parameters import ObjectParameters
 from tapping_cell.nodes.conversions import position_goal, seconds
 from tapping_cell.nodes.kept_content import KeptContent
+from tapping_cell.nodes.message_conversion import to_ros
 from tapping_cell.nodes.page import guard, server
 from tapping_cell.nodes.page.arrangements import Arrangements
-from tapping_cell.nodes.page.calls import answer_to, call_service, send_goal
+from tapping_cell.nodes.page.calls import answer_to, call_service, send_goal, shot_words
 from tapping_cell.nodes.page.cell_view import CellView, error_pair, triple, with_code
 from tapping_cell.nodes.page.goal_preview import GoalPreview
 from tapping_cell.nodes.page.goal_queue import GoalQueue, NamedGoals, QueueFull
@@ -54,6 +56,7 @@ from tapping_cell.nodes.page.requests import (
     Confirm,
     Drafts,
     ForgetGoal,
+    Jog,
     KeepRun,
     Move,
     NameGoal,
@@ -142,10 +145,12 @@ class OperatorPage(CellNode[Parameters]):
         self._arrangements = Arrangements(self, self._view.note)
         self._preview = GoalPreview(self, self._arrangements)
         self._action = ActionClient(self, PositionObject, "position_object")
+        self._single_tap = ActionClient(self, SingleTap, "single_tap")
         self._private = PrivateNames(self)
         # The clients exist from the start, because the discovery of a server takes time.
         self._private.client("tap_planner", "cancel")
         self._private.client(ARM, "home")
+        self._private.client(ARM, "jog")
         self._private.client("sim_world", "press_clear_button")
         for actor in ACTORS:
             self._private.client(actor, "clear_fault")
@@ -165,6 +170,8 @@ class OperatorPage(CellNode[Parameters]):
             "clear": self._clear,
             "cancel": self._cancel,
             "home": self._home,
+            "park": self._park,
+            "fire_at_nothing": self._fire_at_nothing,
             "press_button": self._press_button,
             "run_queue": self._run_queue,
             "hold_queue": self._hold_queue,
@@ -436,6 +443,8 @@ class OperatorPage(CellNode[Parameters]):
                 self._keep_run(request, answer)
             case QueueGoal() | Unqueue() | NameGoal() | ForgetGoal():
                 self._change_lists(request, answer)
+            case Jog(axis, step):
+                self._jog(jogging.request(axis, step), answer)
             case Command("enable" | "disable" as name):
                 # The node relays each heartbeat of a held key. If the next heartbeat is missing,
                 # the key counts as released.
@@ -577,6 +586,23 @@ class OperatorPage(CellNode[Parameters]):
     def _home(self, who: str, answer: server.Answer) -> None:
         self._view.note(f"homing requested on the page ({who})")
         call_service(self._private.client(ARM, "home"), Trigger.Request(), "home", ARM, answer)
+
+    def _jog(self, wanted: messages.Jog.Request, answer: server.Answer) -> None:
+        def on_reply(response: messages.Jog.Response) -> None:
+            sentence = with_code(response.error_msg, response.error_code)
+            answer(answer_to("jog", response.accepted, "" if response.accepted else sentence))
+
+        client, content = self._private.client(ARM, "jog"), to_ros(wanted)
+        call_service(client, content, "jog", ARM, answer, on_reply)
+
+    def _park(self, who: str, answer: server.Answer) -> None:
+        self._view.note(f"parking of the arm requested on the page ({who})")
+        self._jog(messages.Jog.Request(kind=messages.Jog.Request.PARK), answer)
+
+    def _fire_at_nothing(self, who: str, answer: server.Answer) -> None:
+        goal = SingleTap.Goal(at_nothing=True)
+        if send_goal(self._single_tap, goal, "jog", "shot at nothing", answer, done=shot_words):
+            self._view.note(f"shot at nothing requested on the page ({who})")
 
     def _press_button(self, _: str, answer: server.Answer) -> None:
         def on_reply(response: Trigger.Response) -> None:

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+from tapping_cell.logic import jogging
 from tapping_cell.nodes.recorder.run_names import LONGEST_NAME as LONGEST_RUN
 from tapping_cell.se2 import Pose
 
@@ -169,6 +170,14 @@ class KeepRun:
 
 
 @dataclass(frozen=True, slots=True)
+class Jog:
+    """Move the arm by a step (m or rad) along an axis of ``jogging.AXES``."""
+
+    axis: str
+    step: float
+
+
+@dataclass(frozen=True, slots=True)
 class Command:
     """One of COMMANDS, without arguments."""
 
@@ -192,6 +201,7 @@ Request = (
     | SetAsk
     | SetPlanner
     | KeepRun
+    | Jog
     | Command
 )
 
@@ -203,6 +213,8 @@ COMMANDS = (
     "press_button",
     "enable",
     "disable",
+    "park",
+    "fire_at_nothing",
     "run_queue",
     "hold_queue",
 )
@@ -267,6 +279,13 @@ def _list(content: Content, name: str) -> list[object]:
     if not isinstance(value, list) or len(value) > MAX_OBJECTS:
         raise BadRequest(f"{name} is not a list of at most {MAX_OBJECTS} entries")
     return value
+
+
+def _jog(content: Content) -> Jog:
+    axis, step = content.get("axis"), _number(content, "step")
+    if not isinstance(axis, str) or axis not in jogging.AXES:
+        raise BadRequest(f"axis is {_shown(axis)}, but must be one of {', '.join(jogging.AXES)}")
+    return Jog(axis, 1e-3 * step if jogging.is_length(axis) else math.radians(step))
 
 
 def _tolerance(content: Content) -> tuple[float, float]:
@@ -356,5 +375,6 @@ PARSERS: dict[str, Callable[[Content], Request]] = {
     "set_ask": lambda c: SetAsk(_truth(c, "ask")),
     "set_planner": lambda c: SetPlanner(_name(c, "planner")),
     "keep_run": lambda c: KeepRun(_name(c, "run", LONGEST_RUN), _truth(c, "keep")),
+    "jog": _jog,
 }
 KINDS = (*PARSERS, *COMMANDS)

@@ -1,4 +1,5 @@
-"""Access of the page to the recorder's run folders: list, find by name, and pack for download.
+"""Access of the page to the recorder's run folders: list, find by name, compare, and pack for
+download.
 
 A requested name can select only a folder directly in the recorder's folder. Links are not followed,
 and a folder without ``summary.json`` is not served.
@@ -11,9 +12,13 @@ import math
 import os
 import tempfile
 import zipfile
+from collections.abc import Sequence
 from pathlib import Path
+from urllib.parse import quote
 
 from tapping_cell.nodes.recorder.run_names import STARRED, is_run_name
+from tapping_cell.report.run_comparison import comparison_page
+from tapping_cell.report.run_folder import TAPS, RunError, read_run
 
 SUMMARY = "summary.json"
 REPORT = "report.html"
@@ -88,6 +93,22 @@ class Runs:
         else:
             (run / STARRED).unlink(missing_ok=True)
         return True
+
+    def comparison(self, names: Sequence[str]) -> str:
+        """Return the page that compares these runs.
+
+        Raises:
+            RunError: fewer than two or too many names are given, or a run is missing or unreadable.
+        """
+        if not 2 <= len(set(names)) == len(names) <= MAX_ROWS:
+            raise RunError(f"{len(names)} runs were chosen; choose 2 to {MAX_ROWS} different runs")
+        runs = []
+        for name in names:
+            folder = self.find(name)
+            if folder is None or (folder / TAPS).is_symlink():
+                raise RunError(f"there is no run '{name}'")
+            runs.append(read_run(folder))
+        return comparison_page(runs, [f"{quote(name)}/{REPORT}" for name in names])
 
     def archive(self, name: str) -> Path | None:
         """Create a ZIP file of a run and return its path, or None if there is no such run. The

@@ -49,6 +49,7 @@ from tapping_cell.nodes.page.requests import (
 from tapping_cell.nodes.page.runs import Runs
 from tapping_cell.report.palette import css_variables
 from tapping_cell.report.rendering import TEMPLATES
+from tapping_cell.report.run_folder import RunError
 
 STATIC = Path(__file__).parent / "static"
 MAX_PAGES = 16
@@ -81,15 +82,18 @@ PAGE_POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; "
     "connect-src 'self' {stop}; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
-REPLAY_HASH = b64encode(sha256((TEMPLATES / "replay.js").read_bytes()).digest()).decode("ascii")
+REPORT_SCRIPTS = " ".join(
+    f"'sha256-{b64encode(sha256((TEMPLATES / name).read_bytes()).digest()).decode('ascii')}'"
+    for name in ("replay.js", "sorting.js")
+)
 REPORT_POLICY = (
     "default-src 'none'; style-src 'unsafe-inline'; img-src data:; "
-    f"script-src 'sha256-{REPLAY_HASH}'; base-uri 'none'; "
+    f"script-src {REPORT_SCRIPTS}; base-uri 'none'; "
     "form-action 'none'; frame-ancestors 'none'; sandbox allow-scripts"
 )
 """Content security policy of a report. The report is shown unchanged, but can run no script except
-the player of this version. Browsers treat the report and the operator's page as pages of different
-web sites."""
+the player and the sorting of tables of this version. Browsers treat the report and the operator's
+page as pages of different web sites."""
 HEADERS = {
     "Cross-Origin-Opener-Policy": "same-origin",
     "Cross-Origin-Resource-Policy": "same-origin",
@@ -200,6 +204,7 @@ class PageServer:
             ("/palette.css", PaletteHandler),
             ("/metrics", MetricsHandler),
             (r"/runs/([A-Za-z0-9_-]{22})/([^/]{1,400})/(report\.html|run\.zip)", RunHandler),
+            (r"/runs/([A-Za-z0-9_-]{22})/compare\.html", ComparisonHandler),
             ("/(.*)", FileHandler, {"path": str(STATIC), "default_filename": "index.html"}),
         ]
         application = Application(
@@ -346,24 +351,40 @@ class MetricsHandler(_Guarded):
             self.finish(metrics.text())
 
 
-class RunHandler(_Guarded):
-    """Serve reports and archives of recorded runs to everyone who has a page open."""
+class _RunPage(_Guarded):
+    """Checks and headers of the pages of recorded runs, which are served to everyone who has a page
+    of the cell open."""
+
+    def may_read(self, key: str) -> bool:
+        """Return whether ``key`` is that of an open page; if not, refuse the request."""
+        if not self.server.has_key(key):
+            self.refuse(403, "this link belongs to a closed page; use a link on an open page")
+            return False
+        return True
+
+    def begin_report(self) -> None:
+        """Set the headers of a report."""
+        self.set_header("Content-Security-Policy", REPORT_POLICY)
+        self.set_header("Content-Type", "text/html; charset=utf-8")
+
+
+class RunHandler(_RunPage):
+    """Serve reports and archives of recorded runs."""
 
     async def get(self, key: str, name: str, what: str) -> None:
         """Send the report as a page, or the run's archive in chunks."""
-        if not self.server.has_key(key):
-            self.refuse(403, "this link belongs to a closed page; use a link on an open page")
-        elif what == "run.zip":
+        if not self.may_read(key):
+            return
+        if what == "run.zip":
             await self._archive(name)
-        else:
-            report = self.server.backend.runs.report(name)
-            if report is None:
-                self.refuse(404, f"there is no report of a run '{name}'")
-                return
-            self.set_header("Content-Security-Policy", REPORT_POLICY)
-            self.set_header("Content-Type", "text/html; charset=utf-8")
-            with report.open("rb") as file:
-                await self._send_file(file)
+            return
+        report = self.server.backend.runs.report(name)
+        if report is None:
+            self.refuse(404, f"there is no report of a run '{name}'")
+            return
+        self.begin_report()
+        with report.open("rb") as file:
+            await self._send_file(file)
 
     async def _archive(self, name: str) -> None:
         if self.server.downloads >= MAX_DOWNLOADS:
@@ -392,6 +413,23 @@ class RunHandler(_Guarded):
             while piece := file.read(1 << 18):
                 self.write(piece)
                 await asyncio.wait_for(self.flush(), PIECE_TIMEOUT_S)
+
+
+class ComparisonHandler(_RunPage):
+    """Serve the comparison of the runs that the query names, in the order of the query."""
+
+    async def get(self, key: str) -> None:
+        """Send the comparison as a page."""
+        if not self.may_read(key):
+            return
+        loop, runs = asyncio.get_running_loop(), self.server.backend.runs
+        try:
+            page = await loop.run_in_executor(None, runs.comparison, self.get_arguments("run"))
+        except RunError as error:
+            self.refuse(404, str(error))
+            return
+        self.begin_report()
+        self.write(page)
 
 
 class PageSocket(_Guarded, WebSocketHandler):

@@ -150,7 +150,7 @@ def cell_notes(cell: Cell | None, seed: int) -> dict[str, Any]:
     of the configuration files."""
     notes: dict[str, Any] = {"versions": versions(), "seed": seed if seed >= 0 else None}
     if cell is not None:
-        table = cell.file.table
+        table, fixed = cell.file.table, cell.file.fixed_tappers
         folder = cell.path.parent
         files = {
             cell.path,
@@ -166,6 +166,10 @@ def cell_notes(cell: Cell | None, seed: int) -> dict[str, Any]:
             ],
             "tolerance": cell.tolerance,
             "table_size": (table.length, table.width),
+            "mounts": [
+                (each.name, *each.position, each.direction)
+                for each in (fixed.tappers if fixed else ())
+            ],
             "files": {str(f): f.read_text(encoding="utf-8") for f in sorted(files)},
         }
     return notes

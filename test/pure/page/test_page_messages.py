@@ -25,6 +25,7 @@ from tapping_cell.nodes.page.requests import (
     Confirm,
     Drafts,
     Hello,
+    Jog,
     Move,
     NameGoal,
     Place,
@@ -122,6 +123,11 @@ def test_a_goal_is_in_millimetres_and_degrees() -> None:
     preset = {"do": "preset", "preset": "grid", "objects": ["red", "blue"]}
     assert parse(json.dumps(preset)) == Preset("grid", ("red", "blue"))
     assert parse('{"do": "stop"}') == Command("stop")
+    assert parse('{"do": "jog", "axis": "x", "step": -5}') == Jog("x", -0.005)
+    assert parse('{"do": "jog", "axis": "tool", "step": 180}') == Jog("tool", math.pi)
+    for wrong in ('"w", "step": 1', '["x"], "step": 1', '"x", "step": "1"', '"x"'):
+        with pytest.raises(BadRequest):
+            parse(f'{{"do": "jog", "axis": {wrong}}}')
     assert parse('{"do": "confirm", "tap_id": 7, "confirm": true}') == Confirm(7, True)
     assert parse('{"do": "hello", "token": 5}') == Hello(5)
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+import base64
 import contextlib
 import functools
+import hashlib
 import json
 import os
 import random
@@ -21,6 +23,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from report_parts import made_run, tap_row
 from tornado.httpclient import HTTPClientError, HTTPRequest
 from tornado.websocket import WebSocketClientConnection, WebSocketClosedError, websocket_connect
 
@@ -29,6 +32,8 @@ from tapping_cell.nodes.page.guard import Guard
 from tapping_cell.nodes.page.requests import Command, Request
 from tapping_cell.nodes.page.runs import Runs
 from tapping_cell.nodes.recorder.run_names import STARRED
+from tapping_cell.report.run_folder import write_illustrated_run
+from tapping_cell.report.run_reader import IllustratedRun
 
 TIMEOUT_S = 60.0
 """Time after which a test that waits for an event has failed, s."""
@@ -394,6 +399,32 @@ async def test_a_run_is_downloaded_and_its_report_read_with_the_key_of_an_open_p
             assert (await get(f"runs/{key}/{name}/run.zip"))[0] in (400, 403, 404)
     await until(lambda: not site.server.pages)
     assert (await get(f"runs/{key}/2026-run/run.zip"))[0] == 403
+
+
+@in_loop
+async def test_chosen_runs_are_compared_with_the_key_of_an_open_page(site: Site, tmp_path) -> None:
+    folder = site.backend.runs.folder
+    for name in ("one run", "other"):
+        (folder / name).mkdir(parents=True)
+        write_illustrated_run(folder / name, IllustratedRun(made_run([tap_row()], name=name), ()))
+    linked = make_run(folder, "linked")
+    (linked / "taps.csv").symlink_to(folder / "other" / "taps.csv")
+
+    async def get(key: str, *names: str) -> tuple[int, dict[str, str], bytes]:
+        query = urllib.parse.urlencode([("run", name) for name in names])
+        return await asyncio.to_thread(site.get, f"runs/{key}/compare.html?{query}")
+
+    assert (await get("a" * 22, "one run", "other"))[0] == 403
+    async with site.page({}) as page:
+        key = (await read(page))["key"]
+        status, headers, body = await get(key, "one run", "other")
+        assert status == 200 and b"2 runs, 2 reached" in body
+        assert b'href="one%20run/report.html"' in body and b'href="other/report.html"' in body
+        script = re.search(rb"<script>(.*?)</script>", body, re.DOTALL)
+        digest = base64.b64encode(hashlib.sha256(script[1]).digest()).decode()
+        assert f"'sha256-{digest}'" in headers["Content-Security-Policy"]
+        for wrong in ([], ["other"], ["other", "other"], ["other", ".."], ["other", "linked"]):
+            assert (await get(key, *wrong))[0] == 404
 
 
 @in_loop

@@ -4,12 +4,13 @@
 // or the page hangs. While the pointer holds it, the keyboard may operate the rest of the page.
 
 const ENABLE_PERIOD_MS = 100;
+const HOLDING_KEYS = [" ", "Enter"];
 let enableTimer = 0;
 let heldByKeyboard = false;
 
 function holdEnabling(event) {
   if (event.type === "keydown") {
-    if (event.key !== " " && event.key !== "Enter") return;
+    if (!HOLDING_KEYS.includes(event.key)) return;
     event.preventDefault();
     if (event.repeat) return;
   }
@@ -29,17 +30,21 @@ function releaseEnabling() {
   $("enable").setAttribute("aria-pressed", "false");
 }
 
-function renderEnabling(setUp, connected) {
+function renderEnabling(setUp, connected, arm) {
   $("set-up").hidden = !setUp || !setUp.on;
   $("enable").disabled = !connected;
   if (!connected || !setUp || !setUp.on) releaseEnabling();
-  setText($("enabled"), setUp && setUp.enabled ? "Enabled: the arm may move." : "Not enabled: nothing moves.");
+  const works = arm && ["homing", "moving", "in position", "withdrawing"].includes(arm.state);
+  setText($("enabled"), !setUp || !setUp.enabled ? "Not enabled: nothing moves."
+    : works ? `Enabled: the arm is ${arm.state}, and a release stops it.` : "Enabled: the arm may move.");
 }
 
 for (const name of ["pointerdown", "keydown"]) $("enable").addEventListener(name, holdEnabling);
-for (const name of ["pointerup", "pointercancel", "lostpointercapture", "keyup", "contextmenu"]) {
+for (const name of ["pointerup", "pointercancel", "lostpointercapture", "contextmenu"]) {
   $("enable").addEventListener(name, releaseEnabling);
 }
+// Other keys step the arm while the key is held.
+$("enable").addEventListener("keyup", (event) => { if (HOLDING_KEYS.includes(event.key)) releaseEnabling(); });
 // Once the focus has moved, the release of a key would not be received here any more.
 $("enable").addEventListener("blur", () => { if (heldByKeyboard) releaseEnabling(); });
 window.addEventListener("blur", releaseEnabling);

@@ -49,6 +49,17 @@ function runLink(key, run, file, text) {
   return link;
 }
 
+const chosenRuns = new Set();
+
+// The link that compares the chosen runs; their order is that of the list.
+function renderComparison(runs, key, connected) {
+  const names = runs.map((run) => run.name).filter((name) => chosenRuns.has(name));
+  const link = $("compare");
+  link.hidden = !connected || names.length < 2;
+  link.href = `runs/${key}/compare.html?${new URLSearchParams(names.map((name) => ["run", name]))}`;
+  setText(link, `Compare ${names.length} runs`);
+}
+
 function renderRuns(runs, key, hint, connected) {
   const last = runs.find((run) => run.outcome !== "refused");
   setText($("run-words"), hint || (last ? `Last run: ${last.name}, ${last.outcome}.` : "No run has been recorded yet."));
@@ -59,6 +70,7 @@ function renderRuns(runs, key, hint, connected) {
     report.href = runLink(key, last, "report.html", "").href;
     archive.href = runLink(key, last, "run.zip", "").href;
   }
+  renderComparison(runs, key, connected);
   const body = $("runs").tBodies[0];
   $("runs-scroll").hidden = !runs.length;
   const words = $("run-filter").value.trim().toLowerCase().split(/\s+/);
@@ -71,8 +83,15 @@ function renderRuns(runs, key, hint, connected) {
     const goal = run.objects > 1 ? `${run.objects} objects` : run.goal ? `${run.goal.map((n) => n === null ? "?" : n.toFixed(0)).join(", ")}\u00b0` : "?";
     const residual = run.residual && run.residual[0] !== null
       ? `${run.residual[0].toFixed(2)} mm, ${run.residual[1].toFixed(1)}\u00b0` : "";
+    const box = create("input", { type: "checkbox", checked: chosenRuns.has(run.name) });
+    box.setAttribute("aria-label", `compare ${run.name}`);
+    box.addEventListener("change", () => {
+      chosenRuns[box.checked ? "add" : "delete"](run.name);
+      renderComparison(runs, key, connected);
+    });
+    row.insertCell().append(box);
     for (const text of [when, goal, run.outcome, run.taps === null ? "" : String(run.taps), residual]) row.insertCell().textContent = text;
-    row.cells[2].title = run.error;
+    row.cells[3].title = run.error;
     const files = row.insertCell();
     if (run.report) files.append(runLink(key, run, "report.html", "report"), " ");
     files.append(runLink(key, run, "run.zip", "zip"));

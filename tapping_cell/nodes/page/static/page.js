@@ -13,6 +13,7 @@ const ANSWERS = {
   goal: "goal-answer", cancel: "goal-answer", stop: "attention-answer", clear: "attention-answer",
   press_button: "attention-answer", home: "attention-answer", confirm: "planned-answer",
   queue: "queue-answer", settings: "settings-answer", arrange: "arrange-answer", keep_run: "run-answer",
+  jog: "jog-answer", park: "jog-answer", fire_at_nothing: "jog-answer",
 };
 
 let socket = null, connected = false, refusedFor = "", attempts = 0, retryAt = 0;
@@ -214,7 +215,8 @@ function render() {
   renderPicture();
   for (const id of ["send", "goal-x", "goal-y", "goal-angle", "confirm-yes"]) $(id).disabled = !connected;
   renderStop();
-  renderEnabling(state && state.set_up, connected);
+  renderEnabling(state && state.set_up, connected, state && state.arm);
+  renderJog(state, connected);
   if (!state) {
     for (const id of ["cancel", "home-ghost"]) $(id).disabled = true;
     return;
