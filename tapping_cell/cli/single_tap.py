@@ -4,8 +4,8 @@ Starts the simulated cell (or the hardware with --hardware, or joins a running g
 and taps the object near the middle of the table. The record of each tap contains the object's pose
 in every image, the object's start and end poses, and the striker's speed. A tap that might move the
 object off the table or out of the camera's view is refused. Ctrl-C stops the experiment at any
-time; completed trials are kept, and --resume continues the experiment. The verb `fit` evaluates the
-recorded folder.
+time; completed trials are kept, and --resume continues the experiment. The verb `object fit`
+evaluates the recorded folder.
 
     python -m tapping_cell single-tap
     python -m tapping_cell single-tap --speeds 600 900 1200 --incidences 15 -40 --trials 5

@@ -1,6 +1,6 @@
 """Client that monitors and commands a whole cell from a terminal, as the page does in a browser.
 
-The verbs `up`, `status`, `watch`, `home`, `stop`, `clear` and `commission` use this client. There
+The verbs `up`, `status`, `home`, `stop`, `clear` and `commission` use this client. There
 is no separate executable for it.
 """
 

@@ -269,7 +269,7 @@ ARGUMENTS = [
     (["demo", "--goal", "10", "20mm", "0"], "write the number without 'mm'"),
     (["evaluate", "--tolerance", "0.001", "0.02"], "if the value is in m, write 1"),
     (["goal", "50", "-20", "90", "--tolerance", "0.001", "0.02"], "must be 0.01 to 100 mm"),
-    (["arrange", "LAYOUT"], "'goals[0]' and 'goals[1]' are both for the object 'a'"),
+    (["goal", "--layout", "LAYOUT"], "'goals[0]' and 'goals[1]' are both for the object 'a'"),
 ]
 
 
