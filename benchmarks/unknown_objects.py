@@ -2,10 +2,10 @@
 
 Ten simulated objects are chosen at random: disks, rings and polygons, with friction 0.05 to 0.6,
 torque factor 0.8 to 4, and random restitution, contact friction and density. Each object starts
-with the file that the verb `new-object` makes from its true shape and height. Nine goals are run,
-during which the planner learns from each tap, and `learn-object` makes a new file from these taps.
+with the file that the verb `object new` makes from its true shape and height. Nine goals are run,
+during which the planner learns from each tap, and `object learn` makes a new file from these taps.
 Then further goals are run with the learnt file and with the true file, using the same random
-numbers. The planner's observations have noise of 0.05 mm and 0.05 degrees; `learn-object` receives
+numbers. The planner's observations have noise of 0.05 mm and 0.05 degrees; `object learn` receives
 the exact displacements.
 """
 
@@ -156,7 +156,7 @@ def lines(report: dict[str, Any]) -> list[str]:
         sentence = (
             f"taps {taps['learnt']:.2f} with the learnt file, {taps['true']:.2f} with the true "
             f"one ({100 * (taps['learnt'] / taps['true'] - 1):+.0f} %), {taps['begun']:.2f} with "
-            "that of new-object"
+            "that of object new"
         )
         if name != "mean":
             friction, factor = row["friction"], row["torque_factor"]

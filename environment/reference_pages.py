@@ -35,8 +35,8 @@ _HEAD = """# Commands
 
 `python -m tapping_cell VERB`, or `ros2 run tapping_cell cell VERB`. Every verb has `--help` with an
 example. On the command line, lengths are in mm and angles in degrees. With `--json`, a verb prints
-its results as JSON on standard output and its messages on standard error. Progress is shown
-only on a terminal.
+its results as JSON on standard output and its messages on standard error. A command that
+takes long shows its progress there.
 
 The Tab key completes verbs and options after the command
 
@@ -53,9 +53,9 @@ exit codes:
 | --- | --- |
 """
 _AFTER_STATUSES = """
-To operate a running cell, the command `ros2` is not needed: [status](#status), [watch](#watch),
-[home](#home), [stop](#stop), [clear](#clear) and [goal](#goal) show and control the cell as the
-operator page does, in the ROS domain of `ROS_DOMAIN_ID`.
+To operate a running cell, the command `ros2` is not needed: [status](#status), [home](#home),
+[stop](#stop), [clear](#clear) and [goal](#goal) show and control the cell as the operator page
+does, in the ROS domain of `ROS_DOMAIN_ID`.
 
 `make reference` writes this page.
 """

@@ -7,7 +7,9 @@ The pure ring is limited by the processor and does not depend on time, so it run
 with what they leave of the processor. The other rings run in real time, one after the other: the
 rings of the drivers and of the nodes mostly wait and distribute their tests to several processes;
 tests of nodes that are marked ``alone`` process images at the camera's rate, and the graph tests
-run all nodes. Every ring runs even if an earlier ring failed. At the end, the processor time of
+run all nodes. Every ring runs even if an earlier ring failed. A test that runs in real time may
+fail because another program kept the processor from it, so the failed ones are repeated once, when
+nothing else runs; one that then passes is printed as repeated. At the end, the processor time of
 each ring and the ten slowest tests are printed. The last line contains the counts of all rings.
 """
 
@@ -38,7 +40,8 @@ RINGS: dict[str, tuple[str, ...]] = {
 # The ring that runs beside the others.
 BESIDE = "pure"
 SLOWEST = 10
-NO_TESTS_COLLECTED = 5  # pytest's exit code
+# Exit codes of pytest.
+TESTS_FAILED, NO_TESTS_COLLECTED = 1, 5
 # The words in pytest's closing line.
 OUTCOMES = ("failed", "passed", "skipped", "deselected", "xfailed", "xpassed", "warnings", "errors")
 COUNT = re.compile(rf"(\d+) ({'|'.join(OUTCOMES)}|warning|error)\b")
@@ -55,15 +58,16 @@ def counts_of(closing_line: str) -> Counter[str]:
 
 def closing_line(counts: Counter[str], seconds: float) -> str:
     """Return a line in the format of pytest's closing line."""
-    counted = [f"{counts[outcome]} {outcome}" for outcome in OUTCOMES if counts[outcome]]
+    printed = (*OUTCOMES, "repeated")
+    counted = [f"{counts[outcome]} {outcome}" for outcome in printed if counts[outcome]]
     return f" {', '.join(counted) or 'no tests ran'} in {seconds:.2f}s ".center(80, "=")
 
 
 def started(ring: str, options: Sequence[str]) -> subprocess.Popen[str]:
     """Start the tests of a ring and return the process."""
     folder, *own = RINGS[ring]
-    durations = f"--durations={SLOWEST}"
-    command = [sys.executable, "-m", "pytest", f"test/{folder}", *own, durations, *options]
+    own += [f"--durations={SLOWEST}", "-o", f"cache_dir={os.environ['XDG_CACHE_HOME']}/{ring}"]
+    command = [sys.executable, "-m", "pytest", f"test/{folder}", *own, *options]
     before = give_way if ring == BESIDE else None
     return subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True, preexec_fn=before)
 
@@ -98,11 +102,24 @@ def count_outcomes(ring: str, lines: Iterable[str], slow: list[str]) -> Counter[
     return counts_of(last)
 
 
+def repeat_failed(ring: str, options: Sequence[str], slow: list[str]) -> Counter[str]:
+    """Run the failed tests of a ring once more, one at a time, and return how many passed and
+    failed."""
+    again = ("-n", "0", "--last-failed", "--last-failed-no-failures=none")
+    process = started(ring, [*options, *again])
+    assert process.stdout is not None
+    counts = count_outcomes(f"{ring}, failed tests repeated", process.stdout, slow)
+    if ended(process) and process.returncode not in (0, TESTS_FAILED):
+        counts["errors"] += 1
+    return Counter({name: counts[name] for name in ("passed", "failed", "errors")})
+
+
 def run_rings(options: Sequence[str]) -> tuple[list[str], Counter[str]]:
     """Run every ring, and print its duration. Return the names of the failed rings and the counts
     of all rings."""
     total: Counter[str] = Counter()
     failed: list[str] = []
+    disturbed: dict[str, Counter[str]] = {}
     durations: list[str] = []
     slow: list[str] = []
     beside: list[str] = []
@@ -125,17 +142,28 @@ def run_rings(options: Sequence[str]) -> tuple[list[str], Counter[str]]:
                 process = started(ring, options)
                 assert process.stdout is not None
                 lines = process.stdout
-            total += count_outcomes(ring, lines, slow)
+            counts = count_outcomes(ring, lines, slow)
+            total += counts
             used = ended(process)
             # A selection (-k, -m) may leave a ring without tests. Without a selection, each ring
             # must have tests.
             if process.returncode and not (process.returncode == NO_TESTS_COLLECTED and options):
                 failed.append(ring)
+            if process.returncode == TESTS_FAILED and ring != BESIDE:
+                disturbed[ring] = counts
             took = time.monotonic() - began[ring]
             durations.append(f"{ring:<14} {took:6.0f} s, processor time {used:6.0f} s")
     finally:
         if first.returncode is None:
             os.killpg(first.pid, signal.SIGKILL)
+    for ring, before in disturbed.items():
+        again = repeat_failed(ring, options, slow)
+        total["repeated"] += again["passed"]
+        total += again
+        for outcome in ("failed", "errors"):
+            total[outcome] -= before[outcome]
+        if not again["failed"] + again["errors"]:
+            failed.remove(ring)
     slow.sort(key=lambda line: -float(line.split("s ")[0]))
     print("---- slowest tests", *slow[:SLOWEST], sep="\n", flush=True)
     print("---- durations", *durations, sep="\n", flush=True)

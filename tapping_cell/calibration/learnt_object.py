@@ -147,7 +147,7 @@ def learning_record(learnt: LearntObject, inputs: Sequence[Path]) -> Provenance:
     by_name = {entry.name: entry for entry in learnt.estimates}
     intervals = "; ".join(f"{e.name} {e.low:.4g} to {e.high:.4g}" for e in learnt.estimates)
     return Provenance(
-        by="learn-object",
+        by="object learn",
         made=now(),
         inputs=fingerprints(inputs),
         observations=learnt.used,

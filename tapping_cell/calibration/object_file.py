@@ -42,7 +42,7 @@ def fit_record(fit: ObjectFit, inputs: Sequence[Path]) -> Provenance:
         if entry.fitted
     )
     return Provenance(
-        by="fit",
+        by="object fit",
         made=now(),
         inputs=fingerprints(inputs),
         observations=len(fit.used),
@@ -63,8 +63,8 @@ def fit_record(fit: ObjectFit, inputs: Sequence[Path]) -> Provenance:
     )
 
 
-FITTED = "Fitted to single taps (tapping_cell fit)."
-"""Heading of files that the verb ``fit`` writes."""
+FITTED = "Fitted to single taps (tapping_cell object fit)."
+"""Heading of files that the verb ``object fit`` writes."""
 
 
 def object_yaml(content: ObjectFile, record: Provenance | None, heading: str = FITTED) -> str:

@@ -65,7 +65,7 @@ class SpeedPoint(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ObjectFit:
-    """Result of the verb ``fit``. Arrays have one entry for each trial used."""
+    """Result of the verb ``object fit``. Arrays have one entry for each trial used."""
 
     content: ObjectFile
     estimates: tuple[Estimate, ...]

@@ -25,10 +25,8 @@ VERBS = {
     "demo": "run one goal in the simulated cell, from start to finish",
     "up": "start the nodes, simulated or on hardware, and keep them running",
     "commission": "set up a new cell step by step, up to its first goal",
-    "goal": "send a goal pose to a running graph",
-    "arrange": "bring several objects of a running cell to their goals",
+    "goal": "send a goal, of one object or several, to a running graph",
     "status": "show the state of a running cell and what it is waiting for",
-    "watch": "watch a running cell in the terminal",
     "home": "home the arm of a running cell",
     "jog": "move the arm of a running cell step by step, in set-up mode",
     "stop": "stop a running cell immediately",
@@ -36,20 +34,17 @@ VERBS = {
     "evaluate": "evaluate a planning method in many simulated trials",
     "paper": "repeat the experiments of the paper and compare the numbers",
     "single-tap": "measure an object with an experiment of single taps",
-    "fit": "fit friction and impact of an object to records of single taps",
-    "new-object": "create an object file from an image of the object",
-    "learn-object": "learn friction and torque factor of an object from taps",
+    "object": "create object files from images, and fit them to taps",
     "sensitivity": "compute how errors of the striker's pose change a tap's result",
     "locate": "measure the object's pose in image files",
     "calibrate": "calibrate camera, table, arm or tappers; print sheets",
     "report": "rewrite the reports of runs, compare runs, and write videos",
-    "check-config": "check configuration files without starting anything",
+    "check-config": "check configuration files, and the settings of arm and tapper",
     "deploy": "make a cell start with this computer, as a service of systemd",
     "undeploy": "remove what deploy wrote",
     "backup": "archive the configuration and calibrations of a deployed cell",
     "restore": "restore an archive into a deployed cell",
     "bundle": "write a zip file for a support request, without secrets",
-    "doctor": "check the settings of arm and tapper without moving them",
     "conformance": "check whether a node of your own fulfils its duties in the cell",
     "urdf": "write the URDF of the arm or the fixed tappers, for RViz",
     "completion": "print shell code that completes verbs and options",
@@ -57,19 +52,26 @@ VERBS = {
 
 GROUPS = {
     "try the cell": ["demo", "up"],
-    "operate a cell": ["goal", "arrange", "status", "watch", "home", "stop", "clear", "report"],
-    "set up a cell": ["commission", "jog", "calibrate", "check-config", "doctor", "urdf"],
-    "describe an object": ["new-object", "learn-object", "single-tap", "fit", "locate"],
+    "operate a cell": ["goal", "status", "home", "stop", "clear", "report"],
+    "set up a cell": ["commission", "jog", "calibrate", "check-config", "urdf"],
+    "describe an object": ["object", "single-tap", "locate"],
     "keep a cell running": ["deploy", "undeploy", "backup", "restore", "bundle"],
     "plan and evaluate": ["evaluate", "sensitivity", "paper"],
     "develop": ["conformance", "completion"],
 }
 """Verbs by what they are for, in the order in which help lists them."""
+RENAMED = "this verb has a new name: python -m tapping_cell {}"
 MOVED = {
     "bench": "the benchmarks are no longer part of the package; in the source tree, run  python -m "
     "benchmarks",
     "faults": "the cell under faults is tested by the laboratory, which is not installed; in the "
     "source tree, run  python -m lab faults  (whole cell), or  python -m lab drivers",
+    "arrange": RENAMED.format("goal --layout FILE, or goal --preset NAME"),
+    "doctor": RENAMED.format("check-config FILE --devices"),
+    "fit": RENAMED.format("object fit"),
+    "learn-object": RENAMED.format("object learn"),
+    "new-object": RENAMED.format("object new"),
+    "watch": RENAMED.format("status --watch"),
 }
 """Error messages for verbs that were removed, by verb. Each message names the replacement."""
 

@@ -122,11 +122,27 @@ def add_namespace(
     parser.add_argument("--namespace", type=namespace, default="", help=text)
 
 
+def add_truth(parser: argparse.ArgumentParser) -> None:
+    """Declare the options that set the simulation parameters."""
+    parser.add_argument(
+        "--truth",
+        type=configuration_file,
+        help="file with the simulation parameters (only in simulation; default: the package's "
+        "truth/default.yaml)",
+    )
+    parser.add_argument(
+        "--truth-object",
+        type=configuration_file,
+        metavar="FILE",
+        help="object file with the true parameters; needed only if the planner uses another file, "
+        "such as a fitted one (only in simulation; default: the planner's file)",
+    )
+
+
 def add_wait(parser: argparse.ArgumentParser) -> None:
     """Declare --wait of a verb that sends goals."""
     parser.add_argument(
         "--wait",
         type=within(0, 3600),
-        default=20.0,
-        help="longest wait for the cell, in seconds (default: 20)",
+        help="longest wait for the cell, in seconds (default: 20, or 1 without any ROS node)",
     )

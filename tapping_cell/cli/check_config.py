@@ -6,6 +6,12 @@ the planner. The kind of a file is recognised from its keys.
 
     python -m tapping_cell check-config config/cell.yaml
     python -m tapping_cell check-config my/objects/*.yaml --kind object --json
+
+With --devices, the settings of arm and tapper are compared with those of the cell. Nothing moves
+and nothing is charged. Each difference is printed with its remedy. With --write, settings that are
+safe to store (holding torque, report format) are stored in the controller after confirmation.
+
+    python -m tapping_cell check-config my_cell.yaml --devices --write
 """
 
 from __future__ import annotations
@@ -23,6 +29,7 @@ from typing import Any
 from rich.console import Console
 
 from tapping_cell.cli import argument_types
+from tapping_cell.cli.errors import print_error
 from tapping_cell.cli.graph import HARDWARE, RECORDER, SIMULATED
 from tapping_cell.configuration.cell import CellFile, load_cell
 from tapping_cell.configuration.conflicts import conflicts
@@ -80,11 +87,28 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="image file (png, svg or pdf) for a drawing of the cell's fixed tappers",
     )
+    parser.add_argument(
+        "--devices",
+        action="store_true",
+        help="also connect to arm and tapper of the cell, and check their settings",
+    )
+    parser.add_argument(
+        "--write",
+        action="store_true",
+        help="store the settings that are safe to store, after confirmation (only with --devices)",
+    )
     parser.add_argument("--json", action="store_true", help="print the findings as JSON")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the verb. Return 0 if no file has an error, otherwise 1."""
+    """Run the verb. Return 0 if no file and no device has an error, otherwise 1; 2 for options that
+    do not fit together."""
+    if arguments.write and not arguments.devices:
+        print_error("--write stores settings of devices; give --devices too")
+        return 2
+    if arguments.devices and len(arguments.files) > 1:
+        print_error("--devices checks one cell; give one cell file")
+        return 2
     found: list[Findings] = []
     for path in arguments.files:
         found += check(path, arguments.kind)
@@ -93,11 +117,27 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.drawing is not None:
         findings += _draw(arguments.files, arguments.drawing)
     good = not any(entry.errors for entry in findings)
+    console = Console(soft_wrap=True)
+    if not arguments.json:
+        _print(findings, console)
+    content: dict[str, Any] = {
+        "files": [{**vars(entry), "file": str(entry.file)} for entry in findings]
+    }
+    if arguments.devices and good:
+        from tapping_cell.cli import device_checks  # needs ROS
+
+        try:
+            cell = load_cell(arguments.files[0])
+        except ConfigurationError as error:
+            print_error(str(error))
+            return 1
+        rows = device_checks.check_devices(cell, arguments.write)
+        good = all(row.ok for row in rows)
+        content["devices"] = [dataclasses.asdict(row) for row in rows]
+        if not arguments.json:
+            console.print(device_checks.table_of(rows))
     if arguments.json:
-        files = [{**vars(entry), "file": str(entry.file)} for entry in findings]
-        print(json.dumps({"ok": good, "files": files}, indent=2))
-    else:
-        _print(findings, Console(soft_wrap=True))
+        print(json.dumps({"ok": good, **content}, indent=2))
     return 0 if good else 1
 
 

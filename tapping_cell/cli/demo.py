@@ -31,7 +31,7 @@ from typing import Any
 from rich.console import Console
 from tapping_cell_msgs.msg import ErrorCode
 
-from tapping_cell.cli import argument_types, arrange, session
+from tapping_cell.cli import argument_types, arrangement, session
 from tapping_cell.cli.demo_scene import GOALS, MAX_OBJECTS, write_scene
 from tapping_cell.cli.errors import ExitStatus, print_error, print_refusal
 from tapping_cell.cli.graph import (
@@ -49,7 +49,7 @@ from tapping_cell.cli.start_checks import (
     refuse_unused,
     require_folder,
 )
-from tapping_cell.cli.up import add_truth_arguments, node_parameters
+from tapping_cell.cli.up import node_parameters
 from tapping_cell.configuration.cell import load_cell
 from tapping_cell.configuration.layout_file import LayoutFile
 from tapping_cell.configuration.schema import ConfigurationError
@@ -111,7 +111,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     argument_types.add_cell(parser)
     argument_types.add_object(parser)
-    add_truth_arguments(parser)
+    argument_types.add_truth(parser)
     parser.add_argument("--planner", help="planning method (default: the cell's)")
     parser.add_argument("--out", type=Path, help="run folder (default: a new folder in runs)")
     session.add_output_arguments(parser)
@@ -151,7 +151,8 @@ def run(arguments: argparse.Namespace) -> int:
     except (ConfigurationError, UnknownPlannerError, GraphError, OSError) as error:
         return print_refusal(error)
     domain.use()
-    console.print(f"run folder {folder}; watch it with ROS_DOMAIN_ID={domain.number}")
+    watch = f"ROS_DOMAIN_ID={domain.number} python -m tapping_cell status --watch"
+    console.print(f"run folder {folder}; to watch the cell, run {watch}", soft_wrap=True)
     parameters = node_parameters(arguments, cell)
     parameters[RECORDER] |= {"folder": folder.parent, "name": folder.name}
     nodes = (*nodes_of(cell, hardware=False), RECORDER)
@@ -205,10 +206,10 @@ def _arrange(layout: LayoutFile, graph: Graph, console: Console) -> Path:
     """Arrange the objects. Return the folder in which the run was recorded."""
     names = frozenset(goal.object for goal in layout.goals)
     with ArrangeClient("demo") as client:
-        arrange.wait_for(client, names, READY_TIMEOUT_S, graph.check, console)
+        arrangement.wait_for(client, names, READY_TIMEOUT_S, graph.check, console)
         client.send(layout)
         return _recorded(
-            client, lambda: arrange.follow(client, graph.check, console), graph, console
+            client, lambda: arrangement.follow(client, graph.check, console), graph, console
         )
 
 

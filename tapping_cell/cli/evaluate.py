@@ -38,22 +38,19 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
-from rich.progress import Progress
-
 from tapping_cell.cli import argument_types, sweep
 from tapping_cell.cli.errors import print_refusal
 from tapping_cell.cli.evaluate_common import (
     add_scatter_arguments,
     camera_of,
     inputs_of,
-    progress,
     refuse_faulty,
     scatter_of,
     share_text,
     si_pair,
 )
 from tapping_cell.cli.evaluate_fixed import add_fixed_arguments, run_fixed
+from tapping_cell.cli.progress import progress
 from tapping_cell.cli.start_checks import refuse_unused, require_folder
 from tapping_cell.configuration.assembly import make_strike_space, make_tap
 from tapping_cell.configuration.cell import Cell, load_cell
@@ -496,7 +493,7 @@ def _measure(
     began = time.perf_counter()
     planner = load_planner(evaluation.planner, evaluation.settings)
     solved = time.perf_counter() - began
-    with progress(arguments, evaluation.planner, evaluation.trials) as note:
+    with progress(evaluation.planner, evaluation.trials) as note:
         began = time.perf_counter()
         results = evaluate(evaluation, arguments.processes, note)
         elapsed = time.perf_counter() - began
@@ -661,21 +658,17 @@ def _sweep(arguments: argparse.Namespace) -> int:
         chosen = sweep.arguments_at(arguments, point)
         make_evaluation(chosen, chosen.planner)
     kept = sweep.KeptPoints(arguments.report, inputs_of(arguments, "sweep", "cluster"))
-    with Progress(
-        console=Console(stderr=True), transient=True, disable=not sys.stderr.isatty()
-    ) as bar:
-        task = bar.add_task("sweep", total=len(points))
+    with progress("sweep", len(points)) as advance:
         try:
             rows = sweep.sweep(
                 points,
                 kept,
                 functools.partial(_measure_point, arguments),
                 arguments.processes,
-                lambda count: bar.advance(task, count),
+                advance,
                 sweep.cluster_executor(arguments.cluster) if arguments.cluster else None,
             )
         except KeyboardInterrupt:
-            bar.stop()
             done = sum(kept.get(point) is not None for point in points)
             print(
                 f"interrupted: {done} of {len(points)} points are kept in {arguments.report}; "

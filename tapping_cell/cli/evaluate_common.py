@@ -1,17 +1,12 @@
-"""Options, inputs and progress bar that the evaluations of an arm and of fixed tappers share."""
+"""Options and inputs that the evaluations of an arm and of fixed tappers share."""
 
 from __future__ import annotations
 
 import argparse
-import contextlib
 import math
 import sys
-from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
-
-from rich.console import Console
-from rich.progress import Progress
 
 from tapping_cell.cli.argument_types import MM_AND_DEGREES
 from tapping_cell.configuration.cell import Cell
@@ -91,17 +86,3 @@ def inputs_of(arguments: argparse.Namespace, *left_out: str) -> dict[str, Any]:
         for name, value in sorted(vars(arguments).items())
         if name not in {"json", "force", "report", "processes", *left_out}
     }
-
-
-@contextlib.contextmanager
-def progress(
-    arguments: argparse.Namespace, name: str, total: int
-) -> Iterator[Callable[[int], None]]:
-    """Show a progress bar if stderr is a terminal. Yield a function that advances the bar."""
-    if arguments.json or not sys.stderr.isatty():
-        # Even a disabled progress bar would print an empty line at its end.
-        yield lambda count: None
-        return
-    with Progress(console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(name, total=total)
-        yield lambda count: bar.advance(task, count)

@@ -15,11 +15,11 @@ from tapping_cell.cli.argument_types import MM_AND_DEGREES, POSE
 from tapping_cell.cli.evaluate_common import (
     camera_of,
     inputs_of,
-    progress,
     scatter_of,
     share_text,
     si_pair,
 )
+from tapping_cell.cli.progress import progress
 from tapping_cell.configuration.assembly import make_fixed_space, make_planner_settings
 from tapping_cell.configuration.cell import Cell
 from tapping_cell.planning import PlanningError
@@ -27,11 +27,11 @@ from tapping_cell.planning.evaluation.fixed_cell import FixedEvaluation, evaluat
 from tapping_cell.planning.evaluation.summary import summarise
 
 COLUMNS = (
-    "start angle",
-    "mean taps",
-    "seconds",
+    "start",
+    "taps, mean",
+    "s, mean",
     "taps, 99 %",
-    "taps, maximum",
+    "taps, max.",
     "reached, of all",
     "truly inside, of reached",
     "refused",
@@ -95,7 +95,7 @@ def run_fixed(arguments: argparse.Namespace, cell: Cell) -> int:
     rows = []
     for angle in arguments.start_angles:
         evaluation = _evaluation(arguments, cell, angle)
-        with progress(arguments, "trials", evaluation.trials) as note:
+        with progress("trials", evaluation.trials) as note:
             began = time.perf_counter()
             results = evaluate_fixed(evaluation, note)
             elapsed = time.perf_counter() - began
@@ -133,6 +133,8 @@ def _print(cell: Cell, arguments: argparse.Namespace, rows: list[dict[str, Any]]
     x, y, theta = arguments.goal_pose
     table = Table(
         *COLUMNS,
+        box=None,
+        pad_edge=False,
         title=f"{cell.file.name}, {cell.object.name}: {arguments.trials} trials per angle, goal "
         f"({x:g} mm, {y:g} mm, {theta:g} degrees)",
     )
@@ -149,4 +151,4 @@ def _print(cell: Cell, arguments: argparse.Namespace, rows: list[dict[str, Any]]
             share_text(row["truly_inside"], row["done"]),
             str(row["refused_before"] + row["refused_later"]),
         )
-    Console(width=120).print(table)
+    Console().print(table)

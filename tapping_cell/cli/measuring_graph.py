@@ -10,7 +10,6 @@ from pathlib import Path
 
 from tapping_cell.cli import argument_types
 from tapping_cell.cli.graph import Graph, own_domain, with_own_ports
-from tapping_cell.cli.up import add_truth_arguments
 
 
 def add_graph_arguments(parser: argparse.ArgumentParser) -> None:
@@ -34,7 +33,7 @@ def add_graph_arguments(parser: argparse.ArgumentParser) -> None:
         "/dev/video0)",
     )
     argument_types.add_cell(parser)
-    add_truth_arguments(parser)
+    argument_types.add_truth(parser)
     parser.set_defaults(planner=None)
 
 
@@ -62,7 +61,7 @@ def measuring_graph(
     domain.use()
     report(
         f"records in {logs.parent}; to watch the cell, run"
-        f" ROS_DOMAIN_ID={domain.number} python -m tapping_cell watch"
+        f" ROS_DOMAIN_ID={domain.number} python -m tapping_cell status --watch"
     )
     with tempfile.TemporaryDirectory(prefix="tapping_cell-") as ports:
         if not arguments.hardware:

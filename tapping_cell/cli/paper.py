@@ -26,8 +26,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from rich.console import Console
-from rich.progress import Progress
 
 from tapping_cell.calibration.csv_table import RecordError
 from tapping_cell.calibration.experiment import StrikerSection
@@ -35,7 +33,8 @@ from tapping_cell.calibration.object_file import fit_record
 from tapping_cell.calibration.object_fit import ObjectFit, fit_object
 from tapping_cell.cli import evaluate, sweep
 from tapping_cell.cli.errors import print_refusal
-from tapping_cell.cli.fit import figures as fit_figures
+from tapping_cell.cli.objects.fit_verb import figures as fit_figures
+from tapping_cell.cli.progress import progress
 from tapping_cell.cli.simulated_single_taps import Design, simulated_experiment
 from tapping_cell.configuration.files import shared_folder
 from tapping_cell.configuration.objects import GRAVITY, load_object
@@ -193,13 +192,12 @@ def experiments(
     if graph:
         names = [f"graph {name} {seed}" for name in GRAPH_METHODS for seed in GRAPH_SEEDS]
         live = [{"experiment": name} for name in ("graph single taps", *names)]
-    with Progress(console=Console(stderr=True), disable=not sys.stderr.isatty()) as bar:
-        task = bar.add_task("experiments", total=len(points) + len(live))
+    with progress("experiments", len(points) + len(live)) as advance:
         rows = []
         measure = functools.partial(measure_one, folder, trials)
         # The ROS cell needs the whole computer, so its experiments run one after the other.
         for some, workers in ((points, processes), (live, 1)):
-            rows += sweep.sweep(some, kept, measure, workers, lambda n: bar.advance(task, n))
+            rows += sweep.sweep(some, kept, measure, workers, advance)
     return {str(point["experiment"]): figures for point, figures in rows}
 
 
@@ -223,7 +221,7 @@ def measure_one(folder: Path, trials: int, point: sweep.Point) -> dict[str, Any]
 
 def _single_taps(folder: Path, name: str) -> dict[str, Any]:
     """Tap an object of the paper in the simulated world, fit it, and draw figures 3 and 4."""
-    from tapping_cell.cli.fit_report import write_report
+    from tapping_cell.cli.objects.fit_report import write_report
 
     content = load_object(shared_folder() / "objects" / f"{name}.yaml")
     truth = TruthFile((0.0, 0.0, 0.0), scatter=SCATTER)
@@ -259,7 +257,7 @@ def _graph_single_taps(folder: Path) -> dict[str, Any]:
     where = ["--resume", str(begun[-1])] if begun else ["--runs-folder", str(folder)]
     _verb("single-tap", *where)
     result: dict[str, Any] = json.loads(
-        _verb("fit", str(max(folder.glob("single-tap_*"))), "--json")
+        _verb("object", "fit", str(max(folder.glob("single-tap_*"))), "--json")
     )
     return result
 

@@ -27,10 +27,10 @@ import time
 from pathlib import Path
 
 from rich.console import Console
-from rich.progress import track
 from rich.table import Table
 
 from tapping_cell.cli.errors import print_error
+from tapping_cell.cli.progress import progress
 from tapping_cell.durable_file import replace_text
 from tapping_cell.report.bag import BagError
 from tapping_cell.report.run import Run
@@ -79,19 +79,19 @@ def run(arguments: argparse.Namespace) -> int:
     reports: list[tuple[Run, Path]] = []
     skipped = 0
     several = len(arguments.runs) > 1
-    shown = console.is_terminal and several
-    paths = track(arguments.runs, "reading runs", console=console) if shown else arguments.runs
-    for path in paths:
-        if several and no_run(path):
-            skipped += 1
-            console.print(
-                f"{path} is not a run: skipped", highlight=False, markup=False, soft_wrap=True
-            )
-            continue
-        try:
-            reports.append(write_report(path, None if several else arguments.output))
-        except (BagError, RunError, OSError) as error:
-            print_error(str(error))
+    with progress("runs", len(arguments.runs)) as advance:
+        for path in arguments.runs:
+            advance()
+            if several and no_run(path):
+                skipped += 1
+                console.print(
+                    f"{path} is not a run: skipped", highlight=False, markup=False, soft_wrap=True
+                )
+                continue
+            try:
+                reports.append(write_report(path, None if several else arguments.output))
+            except (BagError, RunError, OSError) as error:
+                print_error(str(error))
     if not reports:
         if skipped == len(arguments.runs):
             print_error("none of these is a run folder; give folders such as those in runs")
@@ -190,9 +190,13 @@ def compare(reports: list[tuple[Run, Path]], folder: Path) -> Path:
 
 def table_of(rows: list[Row]) -> Table:
     """Return a table of the runs."""
-    table = Table(box=None, pad_edge=False)
-    for name in ("run", "outcome", "planner", "taps", "remaining mm", "remaining deg", "time s"):
-        table.add_column(name, justify="left" if name in ("run", "outcome", "planner") else "right")
+    table = Table(box=None, pad_edge=False, collapse_padding=True)
+    # In a narrow terminal, the planner's name is wrapped: the other columns tell the runs apart.
+    table.add_column("run", no_wrap=True)
+    table.add_column("outcome", no_wrap=True)
+    table.add_column("planner", overflow="fold")
+    for name in ("taps", "left mm", "left deg", "time s"):
+        table.add_column(name, justify="right", no_wrap=True)
     for row in rows:
         table.add_row(
             row.name,

@@ -17,6 +17,7 @@ from tapping_cell.cli.errors import ExitStatus, print_error
 from tapping_cell.configuration.cell import Cell
 from tapping_cell.configuration.schema import ConfigurationError
 from tapping_cell.nodes.clients.action_follower import ActionFollower
+from tapping_cell.nodes.clients.client_node import ClientNode
 from tapping_cell.nodes.clients.goal_client import (
     Finished,
     GoalClient,
@@ -99,16 +100,27 @@ def require_object(client: GoalClient, cell: Cell) -> None:
         )
 
 
-def wait_for_planner(client: GoalClient, patience: float, console: Console) -> None:
-    """Wait until the planner accepts goals.
+WAIT_S = 20.0
+"""Default of the longest wait for a cell of which a node was found."""
+
+
+def refuse_empty_domain(client: ClientNode) -> None:
+    """Raise NotReadyInTime if there is no ROS node that could become ready."""
+    if client.is_alone():
+        raise NotReadyInTime(client.no_answer())
+
+
+def wait_for_planner(client: GoalClient, patience: float | None, console: Console) -> None:
+    """Wait until the planner accepts goals. ``patience``: longest wait in s; None for ``WAIT_S``,
+    or a shorter wait if there is no other ROS node.
 
     Arm, tapper and camera are not checked here: after a goal is sent, the planner waits for them
     and reports what is missing.
 
     Raises:
-        NotReadyInTime: the planner did not accept goals within ``patience`` seconds.
+        NotReadyInTime: the planner did not accept goals in time.
     """
-    deadline = time.monotonic() + patience
+    deadline = time.monotonic() + (WAIT_S if patience is None else patience)
     found = math.inf
     with console.status("waiting for the planner"):
         # Wait until the planner has discovered this client too: before that, the planner's response
@@ -117,12 +129,9 @@ def wait_for_planner(client: GoalClient, patience: float, console: Console) -> N
             there = client.planner_active and client.accepts_goals()
             found = min(found, time.monotonic()) if there else math.inf
             if not there and time.monotonic() > deadline:
-                raise NotReadyInTime(
-                    f"no planner answered within {patience:.0f} s in ROS domain"
-                    f" {client.node.context.get_domain_id()}, namespace"
-                    f" '{client.node.get_namespace()}': start a cell with python -m tapping_cell"
-                    " up, or choose one with ROS_DOMAIN_ID and --namespace"
-                )
+                raise NotReadyInTime(client.no_answer())
+            if not there and patience is None:
+                refuse_empty_domain(client)
             time.sleep(0.05)
 
 

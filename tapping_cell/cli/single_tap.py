@@ -4,8 +4,8 @@ Starts the simulated cell (or the hardware with --hardware, or joins a running g
 and taps the object near the middle of the table. The record of each tap contains the object's pose
 in every image, the object's start and end poses, and the striker's speed. A tap that might move the
 object off the table or out of the camera's view is refused. Ctrl-C stops the experiment at any
-time; completed trials are kept, and --resume continues the experiment. The verb `fit` evaluates the
-recorded folder.
+time; completed trials are kept, and --resume continues the experiment. The verb `object fit`
+evaluates the recorded folder.
 
     python -m tapping_cell single-tap
     python -m tapping_cell single-tap --speeds 600 900 1200 --incidences 15 -40 --trials 5
@@ -24,7 +24,6 @@ from typing import Any
 
 import numpy as np
 from rich.console import Console
-from rich.progress import Progress, TextColumn, TimeElapsedColumn
 from tapping_cell_msgs.msg import ErrorCode
 
 from tapping_cell.calibration.csv_table import RecordError
@@ -48,6 +47,7 @@ from tapping_cell.cli import argument_types, session
 from tapping_cell.cli.errors import print_error
 from tapping_cell.cli.graph import HARDWARE, SIMULATED, GraphError
 from tapping_cell.cli.measuring_graph import add_graph_arguments, measuring_graph
+from tapping_cell.cli.progress import progress
 from tapping_cell.cli.signals import end_on_signals
 from tapping_cell.cli.start_checks import check_simulation_files
 from tapping_cell.cli.tap_feasibility import TapFeasibility
@@ -341,21 +341,12 @@ def _keep_header(folder: Path, header: ExperimentFile) -> None:
 
 
 def _follow(series: TapSeries, design: Design, trials: list[Trial], console: Console) -> None:
-    """Make the trials and show the progress if the output is a terminal."""
+    """Make the trials and show the progress."""
     wanted = len(design.runs) * design.trials
-    with Progress(
-        *Progress.get_default_columns(),
-        TimeElapsedColumn(),
-        TextColumn("{task.fields[last]}"),
-        console=console,
-        disable=not console.is_terminal,
-        transient=True,
-    ) as shown:
-        used = sum(trial.outcome == "ok" for trial in trials)
-        bar = shown.add_task("trials", total=wanted, completed=used, last="")
+    used = sum(trial.outcome == "ok" for trial in trials)
+    with progress("trials", wanted, completed=used, console=console) as advance:
         for done in series.run():
-            used += done.trial.outcome == "ok"
-            shown.update(bar, completed=used, last=trial_text(done))
+            advance(int(done.trial.outcome == "ok"), trial_text(done))
 
 
 def _listed(values: Iterable[float]) -> str:

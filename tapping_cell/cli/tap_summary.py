@@ -68,7 +68,8 @@ def print_summary(
     console.print(table)
     if not sentence:
         console.print(
-            f"[green]complete[/green]; next: python -m tapping_cell fit {folder}", highlight=False
+            f"[green]complete[/green]; next: python -m tapping_cell object fit {folder}",
+            highlight=False,
         )
         return
     console.print(

@@ -83,7 +83,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="camera device, video file or image folder (only with --hardware; default: "
         "/dev/video0)",
     )
-    add_truth_arguments(parser)
+    argument_types.add_truth(parser)
     argument_types.add_seed(
         parser, None, "random seed of noise and scatter (only in simulation; default: 1)"
     )
@@ -340,23 +340,6 @@ def page_place(text: str) -> tuple[str, int]:
             f"'{text}' is neither PORT nor ADDRESS:PORT; give one such as 8010 or 0.0.0.0:8010"
         )
     return (found[1] or "localhost").strip("[]"), int(found[2])
-
-
-def add_truth_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options that set the simulation parameters."""
-    parser.add_argument(
-        "--truth",
-        type=argument_types.configuration_file,
-        help="file with the simulation parameters (only in simulation; default: the package's "
-        "truth/default.yaml)",
-    )
-    parser.add_argument(
-        "--truth-object",
-        type=argument_types.configuration_file,
-        metavar="FILE",
-        help="object file with the true parameters; needed only if the planner uses another file, "
-        "such as a fitted one (only in simulation; default: the planner's file)",
-    )
 
 
 def node_parameters(arguments: argparse.Namespace, cell: Cell) -> dict[str, dict[str, object]]:

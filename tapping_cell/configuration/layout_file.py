@@ -1,4 +1,4 @@
-"""The layout file: goal poses of the objects of a cell, for the verb ``arrange``."""
+"""The layout file: goal poses of the objects of a cell, for ``goal --layout``."""
 
 from __future__ import annotations
 

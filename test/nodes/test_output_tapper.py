@@ -224,16 +224,24 @@ def test_an_open_guard_and_a_timeout_are_reported_and_nothing_is_switched(tmp_pa
         assert not cell.robot.pulses()
 
 
-def test_the_doctor_detects_the_output_without_switching_it_on(tmp_path: Path) -> None:
+def test_check_config_detects_the_output_without_switching_it_on(tmp_path: Path) -> None:
     with output(tmp_path, "service") as cell:
         cell.ready()
         ran = subprocess.run(
-            [sys.executable, "-m", "tapping_cell", "doctor", "--cell", str(cell.file), "--json"],
+            [
+                sys.executable,
+                "-m",
+                "tapping_cell",
+                "check-config",
+                str(cell.file),
+                "--devices",
+                "--json",
+            ],
             capture_output=True,
             text=True,
             timeout=150,
         )
-        rows = [r for r in json.loads(ran.stdout)["findings"] if r["device"] == "tapper"]
+        rows = [r for r in json.loads(ran.stdout)["devices"] if r["device"] == "tapper"]
         assert rows and all(row["ok"] for row in rows), rows
         assert "digital output by service on /robot/set_output" in rows[0]["found"]
         assert not cell.robot.edges

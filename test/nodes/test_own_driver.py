@@ -194,29 +194,29 @@ def test_a_joint_state_timeout_is_reported_and_recovery_is_detected(cell: Cell) 
     cell.homed()
 
 
-def test_the_doctor_receives_joint_states_and_moves_nothing(cell: Cell) -> None:
+def test_check_config_receives_joint_states_and_moves_nothing(cell: Cell) -> None:
     cell.wait_state(ArmState.NOT_HOMED)
-    rows = doctor_in_a_process(cell.file)
+    rows = devices_in_a_process(cell.file)
     arm = [row for row in rows if row["device"] == "arm"]
     assert arm and all(row["ok"] for row in arm), arm
     assert "ros2_control topic on /scara_controller" in arm[0]["found"]
     other = "scara_arm_controller also publishes on the topic of the controller"
     assert any(other in row["found"] for row in arm)
     cell.controller.silent = True
-    (silent,) = [row for row in doctor_in_a_process(cell.file) if row["device"] == "arm"]
+    (silent,) = [row for row in devices_in_a_process(cell.file) if row["device"] == "arm"]
     assert not silent["ok"] and "joint_1, joint_2" in silent["remedy"]
     assert not cell.controller.sent
 
 
-def doctor_in_a_process(file: Path) -> list[dict[str, Any]]:
-    """Return the findings of the verb `doctor`, run in a process of its own."""
+def devices_in_a_process(file: Path) -> list[dict[str, Any]]:
+    """Return the findings of `check-config --devices`, run in a process of its own."""
     ran = subprocess.run(
-        [sys.executable, "-m", "tapping_cell", "doctor", "--cell", str(file), "--json"],
+        [sys.executable, "-m", "tapping_cell", "check-config", str(file), "--devices", "--json"],
         capture_output=True,
         text=True,
         timeout=150,
     )
-    rows: list[dict[str, Any]] = json.loads(ran.stdout)["findings"]
+    rows: list[dict[str, Any]] = json.loads(ran.stdout)["devices"]
     return rows
 
 

@@ -493,6 +493,7 @@ def test_pytest_summary_lines_are_summed():
 
 
 PASSED, FAILED, NONE = ("1 passed", 0), ("1 failed", 1), ("no tests ran", 5)
+ONE_OF_TWO = "1 failed, 1 passed, 1 repeated"
 
 
 @pytest.mark.parametrize(
@@ -501,6 +502,14 @@ PASSED, FAILED, NONE = ("1 passed", 0), ("1 failed", 1), ("no tests ran", 5)
         ({"pure": PASSED, "pty": PASSED}, (), 0, "2 passed"),
         ({"pure": FAILED, "pty": PASSED}, (), 1, "1 failed, 1 passed"),
         ({"pure": PASSED, "pty": FAILED}, (), 1, "1 failed, 1 passed"),
+        (
+            {"pure": FAILED, "pty": FAILED, "pty again": PASSED},
+            (),
+            1,
+            "1 failed, 1 passed, 1 repeated",
+        ),
+        ({"pure": PASSED, "pty": FAILED, "pty again": PASSED}, (), 0, "2 passed, 1 repeated"),
+        ({"pure": PASSED, "pty": FAILED, "pty again": NONE}, (), 1, "1 passed, 1 errors"),
         ({"pure": PASSED, "pty": NONE}, (), 1, "1 passed"),
         ({"pure": PASSED, "pty": NONE}, ("-k", "it"), 0, "1 passed"),
         ({"pure": PASSED}, (), 1, "1 passed"),
@@ -510,10 +519,12 @@ PASSED, FAILED, NONE = ("1 passed", 0), ("1 failed", 1), ("no tests ran", 5)
 def test_a_failing_test_ring_fails_the_whole_run(
     tmp_path, monkeypatch, capsys, rings, options, status, closing
 ):
-    """``rings``: the closing line and the exit code of the tests of each ring."""
+    """``rings``: the closing line and the exit code of the tests of each ring, and of those that
+    are repeated because they failed."""
 
-    def started(ring, _):
-        words, code = rings[ring]
+    def started(ring, given):
+        repeated = "--last-failed" in given
+        words, code = rings.get(f"{ring} again", rings[ring]) if repeated else rings[ring]
         line = f"echo '=== {words} in 0.01s ==='; exit {code}"
         return subprocess.Popen(["sh", "-c", line], stdout=subprocess.PIPE, text=True)
 

@@ -70,7 +70,7 @@ def test_evaluate_and_fit_run(site, tmp_path):
     done = run(site, tmp_path, *cell, "evaluate", *words)
     assert done.returncode == 0 and "truly inside" in done.stdout, done.stderr
     records = single_tap_records.write(tmp_path / "records", single_tap_records.taps())
-    done = run(site, tmp_path, *cell, "fit", str(records))
+    done = run(site, tmp_path, *cell, "object", "fit", str(records))
     assert done.returncode == 0 and "torque factor" in done.stdout, done.stderr
 
 

@@ -26,7 +26,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
-from rich.progress import track
 
 from tapping_cell.calibration.camera import (
     CalibrationRefused,
@@ -46,6 +45,7 @@ from tapping_cell.cli.image_output import (
     refuse_replacing,
     write_image,
 )
+from tapping_cell.cli.progress import progress
 from tapping_cell.configuration.table import load_camera_model
 from tapping_cell.vision.images import ImageRefused, read_photograph
 
@@ -238,18 +238,19 @@ def _find(
             unseen.append(Rejected(names[path], str(error)))
     size = one_size({names[path]: shape for path, shape in images.items()})
     views = []
-    console = Console(stderr=True)
-    hidden = quiet or not console.is_terminal
-    for path in track(images, "detecting the target", console=console, disable=hidden):
-        try:
-            image = read_photograph(path)
-        except ImageRefused:
-            continue  # the file was deleted after it had been listed
-        found = find_target(image.pixels, target, names[path])
-        if isinstance(found, str):
-            unseen.append(Rejected(names[path], image.explain(found, visible=False)))
-        else:
-            views.append(found)
+    console = Console(stderr=True, quiet=quiet)
+    with progress("photographs", len(images), console=console) as advance:
+        for path in images:
+            advance()
+            try:
+                image = read_photograph(path)
+            except ImageRefused:
+                continue  # the file was deleted after it had been listed
+            found = find_target(image.pixels, target, names[path])
+            if isinstance(found, str):
+                unseen.append(Rejected(names[path], image.explain(found, visible=False)))
+            else:
+                views.append(found)
     if not views:
         for path in list(images)[:5]:
             try:

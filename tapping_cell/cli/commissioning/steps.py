@@ -15,7 +15,7 @@ import numpy as np
 from rich.console import Console
 
 from tapping_cell.calibration.yaml_edit import with_value
-from tapping_cell.cli import doctor
+from tapping_cell.cli import device_checks
 from tapping_cell.cli import session as following
 from tapping_cell.cli.check_config import check
 from tapping_cell.cli.commissioning.session import Proof, Session, StepFailed, wait
@@ -109,7 +109,7 @@ def ports(session: Session) -> Proof:
 def connections(session: Session) -> Proof:
     """Identify controller and board, and compare their settings with the cell file."""
     if session.hardware:
-        return _doctor(session.cell_file, session)
+        return _device_checks(session.cell_file, session)
     with session.running(only_world=True) as graph:
         port = session.ports / "arm"
         wait(port.exists, READY_S, "the simulated devices", graph)
@@ -119,14 +119,14 @@ def connections(session: Session) -> Proof:
             text = with_value(text, f"{name}.port", str(session.ports / name))
         replace_text(copy, text)
         try:
-            return _doctor(copy, session)
+            return _device_checks(copy, session)
         finally:
             copy.unlink()
 
 
-def _doctor(cell_file: Path, session: Session) -> Proof:
+def _device_checks(cell_file: Path, session: Session) -> Proof:
     cell = load_cell(cell_file)
-    rows = [*doctor.check_arm(cell), *doctor.check_tapper(cell)]
+    rows = [*device_checks.check_arm(cell), *device_checks.check_tapper(cell)]
     wrong = [f"{row.device}, {row.setting}: {row.found} {row.remedy}" for row in rows if not row.ok]
     if wrong:
         raise StepFailed("; ".join(wrong))

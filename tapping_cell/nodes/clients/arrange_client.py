@@ -1,6 +1,6 @@
 """Client that sends an arrangement of several objects and monitors it.
 
-The verbs `arrange` and `demo --objects` use this client. There is no separate executable for it.
+The verbs `goal` and `demo` use this client. There is no separate executable for it.
 """
 
 from __future__ import annotations

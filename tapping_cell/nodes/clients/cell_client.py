@@ -1,7 +1,7 @@
 """Client that monitors and commands a whole cell from a terminal, as the page does in a browser.
 
-The verbs `up`, `status`, `watch`, `home`, `jog`, `stop`, `clear` and `commission` use this client.
-There is no separate executable for it.
+The verbs `up`, `status`, `home`, `jog`, `stop`, `clear` and `commission` use this client. There is
+no separate executable for it.
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ class CellClient(ClientNode):
         longer "not ready". After ``patience`` s, return the state as it is.
 
         Raises:
-            NoCell: no node of a cell is running.
+            NoCell: no node of a cell is running. Without any ROS node, this is known early.
         """
         deadline = time.monotonic() + patience
         while True:
@@ -102,14 +102,9 @@ class CellClient(ClientNode):
                 received and time.monotonic() > deadline
             ):
                 return state
-            if time.monotonic() > deadline:
-                break
+            if time.monotonic() > deadline or self.is_alone():
+                raise NoCell(self.no_answer())
             time.sleep(0.1)
-        domain, namespace = self.node.context.get_domain_id(), self.node.get_namespace()
-        raise NoCell(
-            f"no cell answers in ROS domain {domain}, namespace '{namespace}': start one with"
-            " python -m tapping_cell up, or choose the cell with ROS_DOMAIN_ID and --namespace"
-        )
 
     # Commands
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import queue
 import threading
+import time
 from collections.abc import Callable
 from typing import Any, TypeVar
 
@@ -13,6 +14,9 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
+
+DISCOVERY_S = 1.0
+"""Time in s within which a client discovers the nodes of a running cell."""
 
 Self = TypeVar("Self", bound="ClientNode")
 T = TypeVar("T")
@@ -27,6 +31,7 @@ class ClientNode:
         self.node = Node(name, namespace=namespace, context=self._context)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
+        self._began = time.monotonic()
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._spin, name=name, daemon=True)
 
@@ -48,6 +53,22 @@ class ClientNode:
                 self._executor.spin_once(timeout_sec=0.1)
         except ExternalShutdownException:
             return
+
+    def is_alone(self) -> bool:
+        """Return whether no other node was discovered, although there was time for it."""
+        if time.monotonic() < self._began + DISCOVERY_S:
+            return False
+        found = self.node.get_node_names_and_namespaces()
+        own = (self.node.get_name(), self.node.get_namespace())
+        return all(each == own or each[0].startswith("_") for each in found)
+
+    def no_answer(self) -> str:
+        """Return the message for a user whose cell does not answer."""
+        domain, namespace = self.node.context.get_domain_id(), self.node.get_namespace()
+        return (
+            f"no cell answers in ROS domain {domain}, namespace '{namespace}': start one with"
+            " python -m tapping_cell up, or choose the cell with ROS_DOMAIN_ID and --namespace"
+        )
 
     def in_executor(self, function: Callable[[], T], patience: float = 5.0) -> T:
         """Call a function in the executor's thread and return its result.

@@ -1,4 +1,4 @@
-"""The verb learn-object makes an object file from run folders."""
+"""The verb `object learn` makes an object file from run folders."""
 
 from __future__ import annotations
 
@@ -50,12 +50,12 @@ def test_an_object_file_is_learnt_from_runs(tmp_path, capsys):
     name = json.loads((Path(runs[0]) / "summary.json").read_text())["object"]
     text = DISK.read_text().replace("name: aluminium disk", f"name: {json.dumps(name or 'disk')}")
     own.write_text(text)
-    words = ["learn-object", *runs, "--object", str(own), "--output", str(made), "--json"]
+    words = ["object", "learn", *runs, "--object", str(own), "--output", str(made), "--json"]
     assert main(words) == 0
     result = json.loads(capsys.readouterr().out)
     comparison = tmp_path / "comparison.html"
     comparison.write_text("")
-    again = ["learn-object", *runs, str(comparison), "--object", str(own), "--json"]
+    again = ["object", "learn", *runs, str(comparison), "--object", str(own), "--json"]
     assert main(again) == 0
     output = capsys.readouterr()
     assert json.loads(output.out) == result
@@ -67,10 +67,10 @@ def test_an_object_file_is_learnt_from_runs(tmp_path, capsys):
 
 
 def test_runs_of_another_object_and_no_runs_are_refused(tmp_path, capsys):
-    assert main(["learn-object", str(tmp_path), "--object", str(DISK)]) == 2
+    assert main(["object", "learn", str(tmp_path), "--object", str(DISK)]) == 2
     assert "cannot be read" in capsys.readouterr().err
     runs = made_runs(tmp_path)
     other = shared_folder() / "objects" / "plexiglas_disk.yaml"
     if json.loads((Path(runs[0]) / "summary.json").read_text())["object"]:
-        assert main(["learn-object", *runs, "--object", str(other)]) == 2
+        assert main(["object", "learn", *runs, "--object", str(other)]) == 2
         assert "give the file of the object that was tapped" in capsys.readouterr().err

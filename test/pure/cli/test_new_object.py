@@ -1,4 +1,4 @@
-"""The verb new-object makes an object file from an image, and the file can be loaded."""
+"""The verb `object new` makes an object file from an image, and the file can be loaded."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tapping_cell.cli import main
-from tapping_cell.cli.learn_object import REACH, goal_of
+from tapping_cell.cli.objects.probing import REACH, goal_of
 from tapping_cell.configuration.files import shared_folder
 from tapping_cell.configuration.objects import load_object
 from tapping_cell.configuration.table import load_camera_model, load_reference_map
@@ -34,7 +34,7 @@ def picture(tmp_path: Path) -> Path:
 
 def test_an_image_is_converted_to_an_object_file(tmp_path, picture, capsys):
     made = tmp_path / "square.yaml"
-    words = ["new-object", str(picture), "--name", "square", "--height", "12"]
+    words = ["object", "new", str(picture), "--name", "square", "--height", "12"]
     assert main([*words, "--output", str(made)]) == 0
     assert "marker 7 of APRILTAG_36h11" in capsys.readouterr().out
     content = load_object(made)

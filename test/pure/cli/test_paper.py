@@ -107,7 +107,7 @@ def test_the_ros_cell_continues_its_series_and_has_its_own_rows(folder, monkeypa
             paper.experiments(folder, TRIALS, processes=1, graph=True)
     results = paper.experiments(folder, TRIALS, processes=1, graph=True)
     verbs = [words[0] for words in called]
-    assert verbs.count("single-tap") == verbs.count("fit") == 1
+    assert verbs.count("single-tap") == verbs.count("object") == 1
     assert verbs.count("demo") == len(paper.GRAPH_METHODS) * len(paper.GRAPH_SEEDS)
     rows = {row.quantity: row for row in paper.rows_of(results) if "ROS" in row.section}
     assert rows["torque factor, aluminium disk"].here == "3.4 (3.2\u00a0to\u00a03.5)"

@@ -208,7 +208,7 @@ def test_a_mistake_in_a_record_is_refused_and_named(
 ARGUMENTS = [
     (["goal", "50,5", "-20", "90"], "write a decimal point: 50.5"),
     (["demo", "--goal", "10", "20mm", "0"], "write the number without 'mm'"),
-    (["arrange", "LAYOUT"], "'goals[0]' and 'goals[1]' are both for the object 'a'"),
+    (["goal", "--layout", "LAYOUT"], "'goals[0]' and 'goals[1]' are both for the object 'a'"),
 ]
 
 

@@ -75,7 +75,7 @@ def test_runs_become_two_tables_that_belong_together(tmp_path, capsys):
 
 def test_fit_writes_every_trial_and_says_which_it_used(tmp_path, capsys):
     records = write(tmp_path / "records", taps())
-    assert main(["fit", str(records), "--report", str(tmp_path / "fit"), "--json"]) == 0
+    assert main(["object", "fit", str(records), "--report", str(tmp_path / "fit"), "--json"]) == 0
     capsys.readouterr()
     trials = rows(tmp_path / "fit" / "single_taps.csv")
     first = next(iter(taps()))

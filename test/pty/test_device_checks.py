@@ -1,5 +1,5 @@
-"""`doctor` with emulated devices on pseudo-terminals: its findings, what it stores, and what it
-must not change."""
+"""`check-config --devices` with emulated devices on pseudo-terminals: its findings, what it stores,
+and what it must not change."""
 
 from __future__ import annotations
 
@@ -47,10 +47,10 @@ def test_a_configured_cell_passes_every_check(
     tmp_path: Path, plug: Plug, dialect: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path, _ = a_cell(tmp_path, plug, dialect)
-    assert main(["doctor", "--cell", str(path), "--json"]) == 0
+    assert main(["check-config", str(path), "--devices", "--json"]) == 0
     report = json.loads(capsys.readouterr().out)
     assert report["ok"]
-    assert {row["device"] for row in report["findings"]} == {"arm", "tapper"}
+    assert {row["device"] for row in report["devices"]} == {"arm", "tapper"}
 
 
 @pytest.mark.parametrize("boards", [1, 2])
@@ -66,8 +66,8 @@ def test_a_cell_without_an_arm_has_its_boards_checked(
         for entry in document["fixed_tappers"]["tappers"][number::boards]:
             entry["port"] = port
     path.write_text(yaml.safe_dump(document))
-    assert main(["doctor", "--cell", str(path), "--json"]) == 0
-    found = {row["device"] for row in json.loads(capsys.readouterr().out)["findings"]}
+    assert main(["check-config", str(path), "--devices", "--json"]) == 0
+    found = {row["device"] for row in json.loads(capsys.readouterr().out)["devices"]}
     assert found == ({"tapper"} if boards == 1 else {"tapper board 1", "tapper board 2"})
 
 
@@ -80,19 +80,19 @@ def test_a_difference_is_reported_with_its_command_and_stored_after_confirmation
     path, emulator = a_cell(tmp_path, plug, "grbl")
     emulator.receive(b"$1=25\n$110=100\n", time.monotonic())
     before = emulator.joints(time.monotonic())
-    assert main(["doctor", "--cell", str(path), "--json"]) == 1
-    rows = {row["setting"]: row for row in json.loads(capsys.readouterr().out)["findings"]}
+    assert main(["check-config", str(path), "--devices", "--json"]) == 1
+    rows = {row["setting"]: row for row in json.loads(capsys.readouterr().out)["devices"]}
     assert not rows["$1"]["ok"] and rows["$1"]["remedy"].endswith("send $1=255")
     assert "send $110=" in rows["$110"]["remedy"]
 
     monkeypatch.setattr("sys.stdin", io.StringIO("n\ny\n"))
-    assert main(["doctor", "--cell", str(path), "--json", "--write"]) == 1
+    assert main(["check-config", str(path), "--devices", "--json", "--write"]) == 1
     refused = capsys.readouterr()
-    rows = {row["setting"]: row for row in json.loads(refused.out)["findings"]}
+    rows = {row["setting"]: row for row in json.loads(refused.out)["devices"]}
     assert not rows["$1"]["ok"], "nothing is stored after a no"
-    assert main(["doctor", "--cell", str(path), "--json", "--write"]) == 1
+    assert main(["check-config", str(path), "--devices", "--json", "--write"]) == 1
     stored = capsys.readouterr()
-    rows = {row["setting"]: row for row in json.loads(stored.out)["findings"]}
+    rows = {row["setting"]: row for row in json.loads(stored.out)["devices"]}
     assert rows["$1"]["ok"] and not rows["$110"]["ok"]
     for output in (refused, stored):
         assert output.err.count("Store it now? [y/N]") == 1, "the prompt is not part of the JSON"
@@ -103,16 +103,16 @@ def test_a_difference_is_reported_with_its_command_and_stored_after_confirmation
 def test_missing_devices_are_named(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("tapping_cell.cli.doctor.TIMEOUT", 0.2)
+    monkeypatch.setattr("tapping_cell.cli.device_checks.TIMEOUT", 0.2)
     shutil.copytree(shared_folder(), tmp_path / "config")
     path = tmp_path / "config" / "cell.yaml"
     document = yaml.safe_load(path.read_text())
     document["arm"]["port"] = str(tmp_path / "nothing")
     document["tapper"]["port"] = "~/{cell}/tapper"
     path.write_text(yaml.safe_dump(document))
-    assert main(["doctor", "--cell", str(path), "--json"]) == 1
-    arm, tapper = json.loads(capsys.readouterr().out)["findings"]
+    assert main(["check-config", str(path), "--devices", "--json"]) == 1
+    arm, tapper = json.loads(capsys.readouterr().out)["devices"]
     assert str(tmp_path / "nothing") in arm["remedy"]
     assert "belongs to a simulated cell" in tapper["remedy"]
-    assert main(["doctor", "--cell", str(path)]) == 1
+    assert main(["check-config", str(path), "--devices"]) == 1
     assert "wrong" in capsys.readouterr().out

@@ -15,7 +15,7 @@ from tapping_cell.calibration.experiment import Experiment
 from tapping_cell.calibration.object_fit import ObjectFit
 from tapping_cell.calibration.prediction import Launches, RunErrors
 from tapping_cell.calibration.trials import TRIAL_COLUMNS, TRIAL_TITLES
-from tapping_cell.cli.fit_labels import shown, speed_lines
+from tapping_cell.cli.objects.fit_labels import shown, speed_lines
 from tapping_cell.configuration.objects import GRAVITY
 from tapping_cell.configuration.provenance import Provenance
 from tapping_cell.mechanics import Profile, Sliding

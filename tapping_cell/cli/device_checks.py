@@ -1,40 +1,29 @@
-"""Connect to arm and tapper of a cell, and compare their settings with the required settings.
+"""Comparison of the settings of arm and tapper with those that the cell requires.
 
-Nothing moves and nothing is charged. Each difference is printed with its remedy. With --write,
-settings that are safe to store (holding torque, report format) are stored in the controller after
-confirmation. Steps, speeds and accelerations must always be changed by a person.
-
-    python -m tapping_cell doctor --cell my_cell.yaml
-    python -m tapping_cell doctor --cell my_cell.yaml --write
+Nothing moves and nothing is charged. Steps, speeds and accelerations must always be changed by a
+person.
 """
 
 from __future__ import annotations
 
-import argparse
-import json
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 import rclpy
 from rclpy.node import Node
-from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from tapping_cell.cli import argument_types
-from tapping_cell.cli.errors import print_error
 from tapping_cell.configuration.arm_assembly import joint_accelerations, make_dialect
 from tapping_cell.configuration.cell import (
     ArmSection,
     Cell,
     OutputSection,
     TapperSection,
-    load_cell,
 )
-from tapping_cell.configuration.schema import ConfigurationError
 from tapping_cell.hardware.dialect import ArmDialect
 from tapping_cell.hardware.faults import HardwareFault
 from tapping_cell.hardware.finding import Finding
@@ -60,34 +49,13 @@ class Row:
     remedy: str = ""
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options of the verb."""
-    argument_types.add_cell(parser)
-    parser.add_argument(
-        "--write",
-        action="store_true",
-        help="store the settings that are safe to store, after confirmation",
-    )
-    parser.add_argument("--json", action="store_true", help="print the findings as JSON")
-
-
-def run(arguments: argparse.Namespace) -> int:
-    """Run the verb. Return 0 if all settings are correct, otherwise 1."""
-    console = Console(soft_wrap=True)
-    try:
-        cell = load_cell(arguments.cell)
-    except ConfigurationError as error:
-        print_error(str(error))
-        return 2
+def check_devices(cell: Cell, write: bool) -> list[Row]:
+    """Compare the settings of arm and tapper with those of the cell. ``write``: store the settings
+    that are safe to store, after confirmation."""
     rows = check_tapper(cell)
     if cell.file.arm is not None:
-        rows = [*check_arm(cell, _confirm if arguments.write else None), *rows]
-    good = all(row.ok for row in rows)
-    if arguments.json:
-        print(json.dumps({"ok": good, "findings": [asdict(row) for row in rows]}, indent=2))
-    else:
-        console.print(_table(rows))
-    return 0 if good else 1
+        rows = [*check_arm(cell, _confirm if write else None), *rows]
+    return rows
 
 
 def check_arm(cell: Cell, confirm: Callable[[Finding], bool] | None = None) -> list[Row]:
@@ -135,7 +103,7 @@ def _node() -> Iterator[Node]:
     """Create a node, and destroy it at the end."""
     rclpy.init()
     try:
-        node = Node("doctor")
+        node = Node("device_checks")
         try:
             yield node
         finally:
@@ -153,7 +121,7 @@ class _NoMemory:
 
     def keep(self, shot: int) -> None:
         """Never called."""
-        raise AssertionError("doctor fires nothing")
+        raise AssertionError("the check fires nothing")
 
 
 def check_output(tapper: TapperSection, section: OutputSection) -> list[Row]:
@@ -270,7 +238,8 @@ def _port(port: str) -> str:
     return str(Path(port).expanduser())
 
 
-def _table(rows: list[Row]) -> Table:
+def table_of(rows: list[Row]) -> Table:
+    """Return the table of the findings."""
     table = Table("device", "setting", "found", "", "what to do")
     for row in rows:
         mark = "[green]ok[/]" if row.ok else "[red]wrong[/]"

@@ -2,10 +2,10 @@
 
 Put the object alone on the table, below the camera, and take an image that shows the table's
 reference markers. The object's outline, and its marker if it has one, are read from the image; only
-the height has to be measured. Friction and torque factor are set to typical values: `learn-object`
+the height has to be measured. Friction and torque factor are set to typical values: `object learn`
 measures them with the cell.
 
-  python -m tapping_cell new-object shot.png --name bracket --height 12 --output bracket.yaml
+  python -m tapping_cell object new shot.png --name bracket --height 12 --output bracket.yaml
 
 Without a marker, the orientation of an object with a rotationally symmetric outline (a disk, a
 square) is ambiguous: stick a marker on it.
@@ -101,13 +101,13 @@ def run(arguments: argparse.Namespace) -> int:
     print("\n".join([*summary_lines(made, traced), *notes]))
     print(
         f"wrote {output}; measure friction and torque factor with  python -m tapping_cell "
-        f"learn-object --object {output} --output FILE"
+        f"object learn --object {output} --output FILE"
     )
     return 0
 
 
 HEADING = (
-    "Shape and appearance from an image (tapping_cell new-object); friction and impact assumed."
+    "Shape and appearance from an image (tapping_cell object new); friction and impact assumed."
 )
 
 

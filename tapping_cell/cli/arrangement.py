@@ -1,15 +1,5 @@
-"""Move several objects of a running cell to the poses in a layout file; Ctrl-C cancels.
-
-python -m tapping_cell arrange layout.yaml
-python -m tapping_cell arrange layout.yaml --json
-python -m tapping_cell arrange --preset grid --cell my_cell.yaml
-
-A layout file contains the names of objects and their goal poses, in m and rad:
-
-    goals:
-      - {object: red disk, pose: [0.10, -0.05, 0.0]}
-      - {object: blue square, pose: [-0.10, 0.05, 1.5708]}
-"""
+"""Send an arrangement to a running graph and show its progress: what ``goal --layout`` and
+``demo --objects`` have in common."""
 
 from __future__ import annotations
 
@@ -18,13 +8,11 @@ import json
 import math
 import time
 from collections.abc import Callable
-from pathlib import Path
 
 from rich.console import Console
 
-from tapping_cell.cli import argument_types, session
+from tapping_cell.cli import session
 from tapping_cell.cli.errors import print_error, print_refusal
-from tapping_cell.cli.signals import end_on_signals
 from tapping_cell.configuration.cell import cells_of, load_cell
 from tapping_cell.configuration.layout_file import LayoutFile, LayoutGoal
 from tapping_cell.configuration.preset_layout import preset_layout
@@ -36,51 +24,23 @@ from tapping_cell.nodes.clients.arrange_client import (
     ObjectTapped,
 )
 from tapping_cell.planning import PlanningError
-from tapping_cell.planning.arrangement import PRESETS
 from tapping_cell.report.error_codes import hint
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options of the verb."""
-    parser.add_argument(
-        "layout",
-        type=Path,
-        nargs="?",
-        help="layout file with the names of the objects and their goal poses",
-    )
-    parser.add_argument(
-        "--preset",
-        choices=PRESETS,
-        help="preset layout of all objects of the cell, in place of a layout file. line, circle, "
-        "grid: the objects are arranged in this shape at the centre of the area in which objects "
-        "can be tapped. swap: the objects exchange places in pairs",
-    )
-    parser.add_argument(
-        "--cell",
-        type=argument_types.configuration_file,
-        default=None,
-        help="cell file of the running cell (only with --preset; default: the package's cell.yaml)",
-    )
-    argument_types.add_namespace(parser)
-    argument_types.add_wait(parser)
-    session.add_output_arguments(parser)
-
-
-def run(arguments: argparse.Namespace) -> int:
-    """Run the verb. Return 0 if every object reached its goal, 1 if not or if the arrangement may
-    go on after Ctrl-C, 2 for invalid input, 130 if canceled."""
-    console = session.console_of(arguments)
-    end_on_signals()
+def run(arguments: argparse.Namespace, console: Console) -> int:
+    """Bring the objects of a running cell to the goals of a layout file or a preset. Return the
+    exit code, as the verb ``goal``."""
     try:
-        if (arguments.layout is None) == (arguments.preset is None):
-            raise ConfigurationError("give either a layout file or --preset")
         cells = {} if arguments.preset is None else cells_of(load_cell(arguments.cell))
         layout = None if arguments.layout is None else load(LayoutFile, arguments.layout)
     except ConfigurationError as error:
         return print_refusal(error)
     with ArrangeClient("arrange", arguments.namespace) as client:
         try:
-            wait_for(client, frozenset(cells), arguments.wait, lambda: None, console)
+            patience, check = arguments.wait, lambda: None
+            if patience is None:
+                patience, check = session.WAIT_S, lambda: session.refuse_empty_domain(client)
+            wait_for(client, frozenset(cells), patience, check, console)
             if layout is None:
                 poses = {name: client.poses[name] for name in cells}
                 goals = preset_layout(cells, arguments.preset, poses)

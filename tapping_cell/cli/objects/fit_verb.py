@@ -9,8 +9,8 @@ the fitted values are written to an object file that the planner reads; without 
 file is written. An existing file is replaced only with --force. If the existing file has smaller
 residuals or a smaller uncertainty than the new result, --accept-worse is required as well.
 
-  python -m tapping_cell fit records/ --output config/objects/my_disk.yaml --report fit_report
-  python -m tapping_cell fit mine.csv --object config/objects/aluminium_disk.yaml --json
+  python -m tapping_cell object fit records/ --output config/objects/my_disk.yaml --report report
+  python -m tapping_cell object fit mine.csv --object config/objects/aluminium_disk.yaml --json
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any
 
 from tapping_cell.cli import argument_types
 from tapping_cell.cli.errors import print_error
-from tapping_cell.cli.fit_labels import shown, speed_lines
+from tapping_cell.cli.objects.fit_labels import shown, speed_lines
 
 if TYPE_CHECKING:
     from tapping_cell.calibration.estimates import Estimate
@@ -78,7 +78,7 @@ def run(arguments: argparse.Namespace) -> int:
             text = object_yaml(fitted_object(fit, record), record)
             write_kept(output, text, record, load_object)
         if arguments.report is not None:
-            from tapping_cell.cli.fit_report import write_report, write_trials
+            from tapping_cell.cli.objects.fit_report import write_report, write_trials
 
             write_report(arguments.report.expanduser(), fit, record)
             write_trials(arguments.report.expanduser(), fit, experiments)

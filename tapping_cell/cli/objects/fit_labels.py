@@ -1,4 +1,4 @@
-"""Labels and units of fitted values, for the terminal and the report of ``fit``."""
+"""Labels and units of fitted values, for the terminal and the report of ``object fit``."""
 
 from __future__ import annotations
 
