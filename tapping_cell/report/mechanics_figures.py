@@ -67,7 +67,7 @@ def _cone(figure: Figure, tap: Tap) -> None:
     norms = norm(sensitivity(tap, taps).physical)
     filled = gain.contourf(1e3 * x, 100 * s, norms, levels=np.arange(0, 2.01, 0.2), cmap="viridis")
     lines = gain.contour(1e3 * x, 100 * s, norms, levels=[1.0], colors="white")
-    gain.clabel(lines, fmt="norm 1")
+    gain.clabel(lines, fmt="norm 1", manual=[(30.0, 60.0)])
     gain.set(
         xlabel="distance (mm)",
         ylabel="share of the cone's rotation (%)",
