@@ -23,7 +23,14 @@ VERSIONS = ROOT / "environment" / "documents.txt"
 LIBRARIES = ROOT / "build" / "site_libraries"
 SOURCE = ROOT / "build" / "site_source"
 SITE = ROOT / "build" / "site"
-PAGES = ("README.md", "ARCHITECTURE.md", "CONTRIBUTING.md", "CHANGELOG.md", "SECURITY.md")
+PAGES = (
+    "README.md",
+    "ARCHITECTURE.md",
+    "CONTRIBUTING.md",
+    "CHANGELOG.md",
+    "SECURITY.md",
+    "QUALITY_DECLARATION.md",
+)
 """Pages outside docs/ that belong to the site."""
 # Sphinx options that differ from the defaults.
 CONFIGURATION = """\

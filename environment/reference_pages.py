@@ -27,7 +27,16 @@ from tapping_cell.conformance import arm, camera, planner, tapper
 from tapping_cell.report import error_codes
 from tapping_cell.report.columns import declared
 from tapping_cell.report.run import TapRow
-from tapping_cell.report.tables import RUN_COLUMNS, RUNS, TRIAL_COLUMNS, TRIALS
+from tapping_cell.report.sweep import COLUMNS, SWEEP
+from tapping_cell.report.tables import (
+    METHOD,
+    RUN_COLUMNS,
+    RUNS,
+    SCENE_COLUMNS,
+    SCENES,
+    TRIAL_COLUMNS,
+    TRIALS,
+)
 from tapping_cell.simulation.truth import TruthFile
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
@@ -94,16 +103,41 @@ print(trials.groupby("method").taps.describe())
 
 | table | one row for each | written by |
 | --- | --- | --- |
-| `trials.csv` | trial of a simulation | `evaluate --report DIR`, also with `--all` |
+| `trials.csv` | trial of a simulation | `evaluate --report DIR` |
+| `scenes.csv` | scene of several objects | `evaluate --arrange N --report DIR` |
+| `sweep.csv` | point of a sweep | `evaluate --sweep ... --report DIR` |
 | `runs.csv` | run folder | `report runs/* --output DIR` |
 | `runs_taps.csv` | tap of these runs | `report runs/* --output DIR` |
 | `single_taps.csv` | trial of single taps | `fit RECORDS ... --report DIR` |
 """
+_NOTES = {
+    TRIALS: """For a cell with fixed tappers, the first column is `start_angle_deg`. For a sweep,
+the first columns are those of the swept parameters, such as `tolerance_mm_deg` and
+`rotation_scatter_percent`.
+
+""",
+    SWEEP: "The first columns are those of the swept parameters.\n\n",
+}
 _TABLES_END = """
 ## runs_taps.csv
 
 `run`, the name of the run, and the columns of [taps.csv](taps.md). The bag of each run
-([run folders](../runs.md#the-bag)) has the images and all topics as MCAP.
+([run folders](../runs.md#the-bag)) has all topics as MCAP. To read its images, with their times:
+
+```python
+from pathlib import Path
+
+import cv2
+from rosbags.highlevel import AnyReader
+
+images = {}
+for folder in Path("runs").glob("*/bag"):
+    with AnyReader([folder]) as bag:
+        cameras = [each for each in bag.connections if each.topic.endswith("/compressed")]
+        for connection, nanoseconds, raw in bag.messages(cameras):
+            message = bag.deserialize(raw, connection.msgtype)
+            images[folder, nanoseconds] = cv2.imdecode(message.data, cv2.IMREAD_COLOR)
+```
 
 ## single_taps.csv
 
@@ -391,8 +425,14 @@ def contracts_page() -> str:
 def tables_page() -> str:
     """Return the page on the tables of trials, runs and taps."""
     parts = [_TABLES]
-    for name, columns in ((TRIALS, TRIAL_COLUMNS), (RUNS, RUN_COLUMNS)):
-        parts.append(f"\n## {name}\n\n| column | meaning |\n| --- | --- |\n")
+    tables = {
+        TRIALS: METHOD | TRIAL_COLUMNS,
+        SCENES: SCENE_COLUMNS,
+        SWEEP: COLUMNS,
+        RUNS: RUN_COLUMNS,
+    }
+    for name, columns in tables.items():
+        parts.append(f"\n## {name}\n\n{_NOTES.get(name, '')}| column | meaning |\n| --- | --- |\n")
         parts += [f"| `{column}` | {meaning} |\n" for column, meaning in columns.items()]
     return "".join([*parts, _TABLES_END])
 

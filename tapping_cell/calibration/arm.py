@@ -358,8 +358,8 @@ def _robust(
         raise RowsDoNotFit(
             "no arm with these links fits the rows: half of them deviate by more than "
             f"{sigma[0] * 1.2e3:.0f} mm. Check that the columns are the controller's joint "
-            "values in the right unit and order, and that the link lengths in the cell file "
-            "are those of the arm"
+            "values in the right unit and order, that the link lengths in the cell file are "
+            "those of the arm, and that neither arm, table nor camera was moved between the rows"
         )
     values, jacobian = _least_squares(record, values, free, used, sigma)
     left, turns = _misses(record, values)

@@ -6,8 +6,9 @@ Cells are separated by commas, semicolons, tabs or vertical bars, numbers have d
 decimal commas, and thousands may be separated. The separator is the one that gives the wanted
 columns; the decimal mark is the one with which every number of the file can be read. If both marks
 fit and give different values, the file is rejected. A row in which a cell is not a number or is out
-of range is rejected and listed in ``faults``. If many rows are out of range, the file is rejected,
-and the message suggests another unit. Other columns are ignored. Rows are numbered as in a text
+of range is rejected and listed in ``faults``. If many rows are out of range or contain damaged
+numbers, such as those that a spreadsheet turned into dates, the file is rejected, and the message
+suggests another unit or the cause. Other columns are ignored. Rows are numbered as in a text
 editor: the first line of the file is row 1.
 """
 
@@ -63,8 +64,11 @@ def _number_pattern(decimal: str, thousands: str) -> re.Pattern[str]:
 _MARKS = {".": _number_pattern(r"\.", ","), ",": _number_pattern(",", r"\.")}
 """Pattern of a number for each decimal mark."""
 _EXCEL_ERROR = re.compile(r"#(DIV/0!|N/A|NAME\?|NULL!|NUM!|REF!|VALUE!)")
+_ARCHIVES = (b"PK\x03\x04", b"\xd0\xcf\x11\xe0")
+"""First bytes of spreadsheet files (xlsx and ods; xls)."""
 _MOST = 0.3
-"""Maximum fraction of rows out of range; above this fraction, the whole file is rejected."""
+"""Maximum fraction of rows out of range, and of rows with damaged numbers; above this fraction, the
+whole file is rejected."""
 
 
 class RecordError(ValueError):
@@ -202,8 +206,9 @@ def _table(
     header = lines[0][1]
     rows, kept, labels, faults = [], [], [], []
     outside: dict[str, list[float]] = {}
+    damaged: dict[str, list[str]] = {}
     for row, cells in lines[1:]:
-        numbers, reason = _row(cells, header, places, outside, mark)
+        numbers, reason = _row(cells, header, places, outside, damaged, mark)
         if reason is None:
             rows.append(row)
             kept.append(numbers)
@@ -211,6 +216,7 @@ def _table(
         else:
             faults.append(RowFault(path, row, reason))
     _check_units(path, places, outside, len(lines) - 1)
+    _check_damage(path, damaged, len(lines) - 1)
     if not rows:
         longer = all(len(header) < len(cells) <= 2 * len(header) for _, cells in lines[1:])
         if separator == "," and longer and len(lines) > 1:
@@ -237,6 +243,10 @@ def _text(path: Path) -> str:
     """Read a file in UTF-8, or in UTF-16 with a byte order mark, as Excel's "Unicode text"."""
     try:
         content = path.read_bytes()
+        if content.startswith(_ARCHIVES):
+            raise RecordError(
+                f"{path}: is a file of a spreadsheet program, not CSV; save its sheet as CSV"
+            )
         encoding = "utf-16" if content[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
         text = content.decode(encoding)
     except OSError as error:
@@ -456,11 +466,13 @@ def _row(
     header: Sequence[str],
     places: Sequence[_Place],
     outside: dict[str, list[float]],
+    damaged: dict[str, list[str]],
     mark: str,
 ) -> tuple[list[float], str | None]:
     """Return the numbers of a row, and the reason if the row is unusable (otherwise None).
 
-    Values out of range are appended to ``outside``.
+    Values out of range are appended to ``outside``, and cells that contain digits but no number to
+    ``damaged``.
     """
     if len(cells) != len(header):
         return [], f"has {len(cells)} cells, but the header has {len(header)} columns"
@@ -472,6 +484,8 @@ def _row(
             continue
         if not _MARKS[mark].fullmatch(cell):
             reasons.append(f"{place.header} is {cell!r}, not a number{number_hint(cell)}")
+            if re.search("[0-9]", cell) and not _EXCEL_ERROR.match(cell):
+                damaged.setdefault(place.header, []).append(cell)
             continue
         given = _number(cell, mark)
         value = given * place.factor
@@ -501,6 +515,17 @@ def _check_units(
         )
 
 
+def _check_damage(path: Path, damaged: dict[str, list[str]], total: int) -> None:
+    """Raise RecordError if many cells of a column contain digits but no number: the rows that are
+    left are no fair sample, and what damaged the others may have changed them too."""
+    for header, cells in damaged.items():
+        if len(cells) > _MOST * total:
+            raise RecordError(
+                f"{path}: {len(cells)} of {total} rows have a {header} that is not a number, e.g. "
+                f"{cells[0]!r}{number_hint(cells[0]) or '; write numbers only'}"
+            )
+
+
 def _check_size(path: Path, places: Sequence[_Place], values: dict[str, Array]) -> None:
     """Raise RecordError if all values of a column are implausibly small."""
     for place in places:
@@ -518,9 +543,12 @@ def _check_size(path: Path, places: Sequence[_Place], values: dict[str, Array]) 
 def _remedy(place: _Place, wrong: Sequence[float]) -> str:
     """Suggest another unit in which these values (SI) would be within range."""
     column = place.column
+    limit = max(abs(column.minimum), abs(column.maximum))
+    fitting = []
     for ending, factor in UNITS[column.unit].items():
-        scaled = [abs(value) / place.factor * factor for value in wrong]
-        limit = max(abs(column.minimum), abs(column.maximum))
-        if factor != place.factor and column.least_largest <= max(scaled) <= limit:
-            return f"name the column {column.name}_{ending} if the values are in {ending}"
+        largest = max(abs(value) for value in wrong) / place.factor * factor
+        if factor != place.factor and column.least_largest <= largest <= limit:
+            fitting.append(f"{column.name}_{ending} if the values are in {ending}")
+    if fitting:
+        return f"name the column {', or '.join(fitting)}"
     return f"give {column.name} in {column.unit or 'the right unit'}"

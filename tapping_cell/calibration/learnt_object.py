@@ -28,6 +28,11 @@ from tapping_cell.configuration.provenance import Provenance
 from tapping_cell.mechanics import Sliding
 from tapping_cell.se2 import Array, wrap_angle
 
+EQUIVALENT = (
+    "friction and torque factor are equivalent values: with the restitution and contact friction "
+    "of the object file, they predict the taps of this cell; their intervals do not contain the "
+    "error of those two values"
+)
 FEWEST_TAPS = 5
 _DISTANCE, _ROTATION, _SLOPE = 0.05, 0.15, 0.1
 """Standard deviations by which the residuals are divided. ``_DISTANCE`` and ``_ROTATION`` are
@@ -157,7 +162,7 @@ def learning_record(learnt: LearntObject, inputs: Sequence[Path]) -> Provenance:
         uncertainty=by_name["friction"].std / by_name["friction"].value,
         uncertainty_of="friction, relative",
         deviations={e.name: e.std for e in learnt.estimates if e.fitted and math.isfinite(e.std)},
-        notes=(f"95 % intervals: {intervals}",),
+        notes=(f"95 % intervals: {intervals}", EQUIVALENT),
     )
 
 

@@ -44,6 +44,10 @@ WIDEST = np.array([0.003, math.radians(2.0), 0.5])
 """Prior standard deviations of the three unknowns (m, rad, relative), for mounts set up with ruler
 and protractor."""
 
+LARGEST_TURN = math.radians(20.0)
+"""Angle, in rad, between the measured and the fitted direction of travel beyond which a tap does
+not fit. An error of the contact friction turns it by less."""
+
 MAX_DEVIATION = 0.0003
 """Maximum standard deviation, in m, of the line's offset at the object, up to which the fitted line
 may be used for planning."""
@@ -116,7 +120,8 @@ def fit_mount(
         scatter: standard deviations of taps and camera measurements.
 
     Raises:
-        CalibrationRefused: too few taps moved the object.
+        CalibrationRefused: too few taps moved the object, or the taps contradict the mount in the
+            cell file.
     """
     moved = after - before
     moved[:, 2] = wrap_angle(moved[:, 2])
@@ -142,12 +147,22 @@ def fit_mount(
         axis=-1,
     )
     measured_heading = np.arctan2(moved[:, 1], moved[:, 0])
+    towards = np.cos(measured_heading - nominal.theta) < 0.0
+    if 2 * towards.sum() > towards.size:
+        raise CalibrationRefused(
+            f"tapper '{name}': {int(towards.sum())} of {towards.size} taps moved the object "
+            "towards the tapper; check whether the poses before and after the tap are exchanged, "
+            "and the tapper's 'direction' in the cell file"
+        )
 
-    def residuals(unknown: Array) -> Array:
+    def outcome(unknown: Array) -> Array:
         line = _moved(nominal, unknown[0], unknown[1])
-        predicted = tap.outcome(
+        return tap.outcome(
             before, np.array([line.x, line.y, line.theta]), speeds * math.exp(unknown[2])
         )
+
+    def residuals(unknown: Array) -> Array:
+        predicted = outcome(unknown)
         length = np.hypot(predicted[:, 0], predicted[:, 1])
         hit = length > 0.0
         safe = np.where(hit, length, 1.0)
@@ -169,6 +184,16 @@ def fit_mount(
         x_scale=np.array([1e-4, 1e-3, 1e-2]),
         diff_step=1e-4,
     )
+    path = outcome(found.x)
+    turn = wrap_angle(measured_heading - np.arctan2(path[:, 1], path[:, 0]))
+    astray = (np.hypot(path[:, 0], path[:, 1]) == 0.0) | (np.abs(turn) > LARGEST_TURN)
+    if 2 * astray.sum() > astray.size:
+        raise CalibrationRefused(
+            f"tapper '{name}': {int(astray.sum())} of {astray.size} taps moved the object in "
+            f"directions more than {math.degrees(LARGEST_TURN):.0f} degrees away from those of any "
+            "line near the tapper's mount; check that this tapper made them, the units of the "
+            "record, and the tapper's 'position' and 'direction' in the cell file"
+        )
     covariance = np.linalg.inv(found.jac.T @ found.jac)
     offset, angle, speed = (float(value) for value in found.x)
     mount = _moved(nominal, offset, angle)

@@ -18,6 +18,7 @@ from pathlib import Path
 
 from tapping_cell import __version__
 from tapping_cell.nodes import security
+from tapping_cell.report.recorded import NO_BAGS
 
 Execute = Callable[[argparse.Namespace], int]
 
@@ -41,6 +42,7 @@ VERBS = {
     "report": "rewrite the reports of runs, compare runs, and write videos",
     "check-config": "check configuration files, and the settings of arm and tapper",
     "deploy": "make a cell start with this computer, as a service of systemd",
+    "update": "make a deployed cell run this version, or take that back",
     "undeploy": "remove what deploy wrote",
     "backup": "archive the configuration and calibrations of a deployed cell",
     "restore": "restore an archive into a deployed cell",
@@ -55,7 +57,7 @@ GROUPS = {
     "operate a cell": ["goal", "status", "home", "stop", "clear", "report"],
     "set up a cell": ["commission", "jog", "calibrate", "check-config", "urdf"],
     "describe an object": ["object", "single-tap", "locate"],
-    "keep a cell running": ["deploy", "undeploy", "backup", "restore", "bundle"],
+    "keep a cell running": ["deploy", "update", "undeploy", "backup", "restore", "bundle"],
     "plan and evaluate": ["evaluate", "sensitivity", "paper"],
     "develop": ["conformance", "completion"],
 }
@@ -99,6 +101,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except ImportError as error:
         if (error.name or "").split(".")[0] == "tapping_cell":
             raise
+        if error.name == "rosbags":
+            print(f"error: {NO_BAGS}", file=sys.stderr)
+            return 2
         return _not_set_up(f"{sys.executable} cannot import '{error.name}' ({error})")
     except RuntimeError as error:
         # Catch the base class of rclpy's errors, because rclpy is imported only by the verbs that

@@ -21,6 +21,34 @@ POSE: dict[str, Any] = {"type": float, "nargs": 3, "metavar": ("X", "Y", "THETA"
 """Settings of ``add_argument`` for a length and an angle, and for a pose, in mm and degrees."""
 
 
+class Tolerance(argparse.Action):
+    """Refuses a position tolerance, in mm, that is too small or too large; 0 is accepted. A pair in
+    m and rad would ask for a thousandth of the accuracy that is meant."""
+
+    def __call__(
+        self,
+        parser: argparse.ArgumentParser,
+        namespace: argparse.Namespace,
+        values: Any,
+        option_string: str | None = None,
+    ) -> None:
+        """Store the pair."""
+        # Imported late, because the planning package takes a second to import.
+        from tapping_cell.planning import settings
+
+        lowest = 1e3 * settings.SMALLEST_POSITION_TOLERANCE
+        highest = 1e3 * settings.LARGEST_POSITION_TOLERANCE
+        given = values[0]
+        if given and not lowest <= given <= highest:
+            in_metres = f"; if the value is in m, write {1e3 * given:g}" if 0 < given < 1 else ""
+            raise argparse.ArgumentError(
+                self,
+                f"the position tolerance is {given:g} mm, but must be {lowest:g} to {highest:g} mm"
+                f"{in_metres}",
+            )
+        setattr(namespace, self.dest, values)
+
+
 def finite(text: str) -> float:
     """Parse a finite number."""
     try:
@@ -94,6 +122,20 @@ def namespace(text: str) -> str:
     return text.strip("/")
 
 
+def page_place(text: str) -> tuple[str, int]:
+    """Parse address and port from ``PORT`` or ``ADDRESS:PORT``, with an IPv6 address in brackets.
+
+    Raises:
+        argparse.ArgumentTypeError: the text has neither form.
+    """
+    found = re.fullmatch(r"(?:(\[[0-9a-fA-F:.]+\]|[^:\[\]]+):)?(\d{1,5})", text)
+    if found is None or not 0 < int(found[2]) <= 65535:
+        raise argparse.ArgumentTypeError(
+            f"'{text}' is neither PORT nor ADDRESS:PORT; give one such as 8010 or 0.0.0.0:8010"
+        )
+    return (found[1] or "localhost").strip("[]"), int(found[2])
+
+
 def add_seed(parser: argparse.ArgumentParser, default: int | None, text: str) -> None:
     """Declare --seed with the help text ``text``."""
     parser.add_argument("--seed", type=seed, default=default, help=text)
@@ -112,6 +154,19 @@ def add_object(parser: argparse.ArgumentParser) -> None:
     """Declare --object of a verb that also reads a cell file."""
     parser.add_argument(
         "--object", type=configuration_file, help="object file (default: the cell's)"
+    )
+
+
+def add_page(parser: argparse.ArgumentParser) -> None:
+    """Declare --page."""
+    parser.add_argument(
+        "--page",
+        nargs="?",
+        type=page_place,
+        const=("localhost", 8010),
+        metavar="[ADDRESS:]PORT",
+        help="serve the operator's page (default address: localhost:8010); 0.0.0.0:PORT serves it"
+        " to the whole network and requires a token",
     )
 
 

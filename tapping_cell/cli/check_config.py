@@ -21,7 +21,7 @@ import dataclasses
 import importlib
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -36,7 +36,12 @@ from tapping_cell.configuration.conflicts import conflicts
 from tapping_cell.configuration.objects import ObjectFile, load_object
 from tapping_cell.configuration.problems import problems_of
 from tapping_cell.configuration.schema import ConfigurationError, read_yaml
-from tapping_cell.configuration.table import TableFile, load_camera_model, load_reference_map
+from tapping_cell.configuration.table import (
+    TableFile,
+    camera_warning,
+    load_camera_model,
+    load_reference_map,
+)
 from tapping_cell.nodes import MODULES
 from tapping_cell.nodes.parameters import FOREIGN_PREFIXES
 from tapping_cell.simulation.truth import TruthFile
@@ -175,16 +180,27 @@ def check(path: Path, kind: str | None = None) -> list[Findings]:
         document = read_yaml(path)
     except ConfigurationError as error:
         return [Findings(path, kind, [str(error)])]
-    kind = kind or recognise(document)
+    recognised = recognise(document)
+    kind = kind or recognised
     found = Findings(path, kind)
     if kind is None:
         found.errors.append(
             f"{path}: the keys match no known kind of file; give --kind, one of {', '.join(KINDS)}"
         )
+    elif recognised and kind != recognised and _has_no_key_of(kind, recognised, document):
+        found.errors.append(
+            f"{path}: is a file of the kind {recognised}, but the kind {kind} is needed here; "
+            "correct the path"
+        )
     elif kind == PARAMETERS:
         found.errors += check_parameters(document, path)
     elif kind == CAMERA_INFO:
-        found.errors += _refusal(load_camera_model, path)
+        try:
+            warning = camera_warning(load_camera_model(path))
+        except ConfigurationError as error:
+            found.errors.append(str(error))
+        else:
+            found.warnings += [f"{path}: {warning}"] if warning else []
     else:
         found.errors += problems_of(SECTIONS[kind], document, str(path))
         load = {"table": load_reference_map, "object": load_object}.get(kind)
@@ -234,16 +250,30 @@ def recognise(document: Any) -> str | None:
     matches."""
     if not isinstance(document, Mapping) or not document:
         return None
-    keys = {str(key) for key in document}
+    keys = set(document)
     if all(_holds_parameters(value) for value in document.values()):
         return PARAMETERS
-    names = {kind: {f.name for f in dataclasses.fields(own)} for kind, own in SECTIONS.items()}
-    names[CAMERA_INFO] = CAMERA_KEYS
+    names = {kind: _keys_of(kind) for kind in (*SECTIONS, CAMERA_INFO)}
     shares = sorted(
         ((len(keys & own) / len(own), kind) for kind, own in names.items()), reverse=True
     )
     (best, kind), (second, _) = shares[:2]
     return kind if best > second else None
+
+
+def _has_no_key_of(kind: str, other: str, document: Iterable[Any]) -> bool:
+    """Return whether a document has no key that files of a kind have and those of the other kind
+    have not."""
+    return not (_keys_of(kind) - _keys_of(other)) & set(document)
+
+
+def _keys_of(kind: str) -> set[str]:
+    """Return the keys at the top of a kind of file; empty for parameter files, whose keys are names
+    of nodes."""
+    section = SECTIONS.get(kind)
+    if section is None:
+        return CAMERA_KEYS if kind == CAMERA_INFO else set()
+    return {field.name for field in dataclasses.fields(section)}
 
 
 def _holds_parameters(value: Any) -> bool:

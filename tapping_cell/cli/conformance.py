@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import argparse
 import time
-from pathlib import Path
 from types import ModuleType
 
 from rich.console import Console
@@ -33,7 +32,7 @@ PARTS: dict[str, ModuleType] = {part.NODE: part for part in (arm, tapper, camera
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the verb."""
     parser.add_argument("node", choices=PARTS, help="node of the cell whose duties are checked")
-    parser.add_argument("--cell", type=Path, help="cell file (default: the package's cell.yaml)")
+    argument_types.add_cell(parser)
     parser.add_argument(
         "--only", nargs="+", metavar="DUTY", help="numbers of the duties to check, such as A3"
     )

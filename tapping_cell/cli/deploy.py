@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import difflib
 import grp
 import hashlib
 import json
@@ -23,7 +24,7 @@ import pwd
 import shutil
 import subprocess
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -33,11 +34,19 @@ from tapping_cell.cli import argument_types
 from tapping_cell.cli.deployment import service
 from tapping_cell.cli.deployment.adapters import Adapter, adapter_of
 from tapping_cell.cli.deployment.cell_copy import copied_cell
-from tapping_cell.cli.deployment.places import DEFAULT_NAME, LEFT, MANIFEST, Places, valid_name
+from tapping_cell.cli.deployment.places import (
+    DEFAULT_NAME,
+    LEFT,
+    MANIFEST,
+    VERSION,
+    VERSIONS,
+    Places,
+    valid_name,
+)
 from tapping_cell.cli.errors import ExitStatus, print_error, print_refusal
 from tapping_cell.cli.graph import GraphError, domain_number
 from tapping_cell.cli.start_checks import refuse_unused
-from tapping_cell.cli.up import CAMERA, page_place
+from tapping_cell.cli.up import CAMERA
 from tapping_cell.configuration.cell import (
     Cell,
     load_cell,
@@ -45,7 +54,7 @@ from tapping_cell.configuration.cell import (
     refuse_simulated_ports,
 )
 from tapping_cell.configuration.schema import ConfigurationError
-from tapping_cell.durable_file import replace_text
+from tapping_cell.durable_file import part_of, replace_text, sync_folder
 
 PRIVATE_FOLDERS = ("/home", "/root", "/tmp", "/var/tmp", "/run")
 """Folders that the service cannot see."""
@@ -86,8 +95,11 @@ class PlannedFile:
         if act == "replace":
             keep_earlier(place, place if self.cell else places.configuration / place.name)
         if self.link:
-            place.unlink(missing_ok=True)
-            place.symlink_to(self.text)
+            part = part_of(place)
+            part.unlink(missing_ok=True)
+            part.symlink_to(self.text)
+            part.replace(place)
+            sync_folder(place.parent)
         else:
             replace_text(place, self.text)
             place.chmod(0o644)
@@ -128,7 +140,7 @@ def _name(text: str) -> str:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the verb."""
     add_name(parser)
-    parser.add_argument("--cell", type=Path, help="cell file (default: the package's cell.yaml)")
+    argument_types.add_cell(parser)
     parser.add_argument(
         "--hardware",
         action="store_true",
@@ -137,14 +149,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--camera", help="camera device (only with --hardware; default: /dev/video0)"
     )
-    parser.add_argument(
-        "--page",
-        nargs="?",
-        type=page_place,
-        const=("localhost", 8010),
-        metavar="[ADDRESS:]PORT",
-        help="serve the operator's page (default address: localhost:8010)",
-    )
+    argument_types.add_page(parser)
     parser.add_argument(
         "--domain",
         type=int,
@@ -189,20 +194,7 @@ def run(arguments: argparse.Namespace) -> int:
     commands = started_by(places) if live else []
     acts = {file: file.act(places, arguments.cell is not None) for file in files}
     obsolete = obsolete_files(places, files)
-    for file, act in acts.items():
-        print(f"{act:7} {file.path}" + f" -> {file.text}" * file.link)
-        if act == "replace":
-            why = "differs from this cell" if file.cell else "was changed since it was deployed"
-            folder = (file.path.parent if file.cell else Path("/etc") / places.name) / HISTORY
-            remarks.append(f"{file.path} {why}; the present one is kept in {folder}")
-        if arguments.dry_run and not file.link:
-            print("".join(f"    {line}\n" for line in file.text.splitlines()), end="")
-    for path in obsolete:
-        print(f"remove  {path}")
-    for command in commands:
-        print(f"run     {' '.join(command)}")
-    for remark in remarks:
-        print(f"note    {remark}")
+    print_plan(acts, places, obsolete, commands, remarks, texts=arguments.dry_run)
     if arguments.dry_run:
         return ExitStatus.DONE
     if refused := unsuitable(live):
@@ -215,6 +207,49 @@ def run(arguments: argparse.Namespace) -> int:
     except OSError as error:
         print_error(f"{error.filename}: {error.strerror}; deploy again after the remedy")
         return ExitStatus.FAILED
+
+
+def print_plan(
+    acts: Mapping[PlannedFile, str],
+    places: Places,
+    obsolete: Sequence[str],
+    commands: Sequence[Sequence[str]],
+    remarks: Sequence[str],
+    *,
+    texts: bool,
+) -> None:
+    """Print what is done, the differences of each replaced file and, if ``texts``, every file."""
+    remarks = list(remarks)
+    for file, act in acts.items():
+        print(f"{act:7} {file.path}" + f" -> {file.text}" * file.link)
+        lines = file.text.splitlines()
+        if act == "replace":
+            why = "differs from this cell" if file.cell else "was changed since it was deployed"
+            folder = (file.path.parent if file.cell else Path("/etc") / places.name) / HISTORY
+            remarks.append(f"{file.path} {why}; the present one is kept in {folder}")
+            place = places.root / file.path.relative_to("/")
+            present = place.read_text(encoding="utf-8", errors="replace").splitlines()
+            lines = list(difflib.unified_diff(present, lines, "present", "new", lineterm=""))
+        if not file.link and (texts or act == "replace"):
+            print("".join(f"    {line}\n" for line in lines), end="")
+    for path in obsolete:
+        print(f"remove  {path}")
+    for command in commands:
+        print(f"run     {' '.join(command)}")
+    for remark in remarks:
+        print(f"note    {remark}")
+
+
+def version_files(places: Places) -> list[PlannedFile]:
+    """Return the environment of this version, and the link that makes the service use it."""
+    configuration = Path("/etc") / places.name
+    source = Path(__file__).resolve().parents[2]
+    # env.sh refuses a folder with a colon, so no two folders share a name.
+    file = f"{VERSIONS}/{str(source).lstrip('/').replace('/', ':')}.env"
+    return [
+        PlannedFile(configuration / file, service.version_text(os.environ)),
+        PlannedFile(configuration / VERSION, file, link=True),
+    ]
 
 
 def planned(
@@ -277,6 +312,7 @@ def planned(
             for path, text in sorted(copied_cell(cell, ports).items())
         ),
         PlannedFile(configuration / "cell.env", environment),
+        *version_files(places),
         PlannedFile(Path(f"/etc/sysusers.d/{name}.conf"), service.user_text(places)),
         PlannedFile(Path(f"/etc/logrotate.d/{name}"), service.LOG_ROTATION.format(name=name)),
         PlannedFile(systemd / places.unit, unit),
@@ -376,7 +412,7 @@ def started_by(places: Places) -> list[list[str]]:
     return available(commands)
 
 
-def available(commands: list[list[str]]) -> list[list[str]]:
+def available(commands: Sequence[list[str]]) -> list[list[str]]:
     """Return the commands that this computer has and that work now, without systemd and udev in a
     container."""
     booted = Path("/run/systemd/system").is_dir()
@@ -411,14 +447,25 @@ def agreed() -> bool:
 
 
 def carry_out(
-    acts: Mapping[PlannedFile, str], obsolete: list[str], places: Places, commands: list[list[str]]
+    acts: Mapping[PlannedFile, str],
+    obsolete: Sequence[str],
+    places: Places,
+    commands: Sequence[Sequence[str]],
 ) -> int:
-    """Write the files, with a list of what was written for ``undeploy``, and run the commands."""
+    """Write the files, with a list of what was written for ``undeploy``, and run the commands. The
+    list also states how to return to the version that was in use before."""
     known = places.known()
     written = (known or {}).get("files", {})
     # A first deployment makes the user: refuse_foreign refuses one that exists.
     user = known is None or known.get("user") is True
     content = {"version": __version__, "made": now(), "user": user, "files": written}
+    content |= {key: known[key] for key in ("previous", "replaced") if known and key in known}
+    present = places.version
+    if present and any(file.path.name == VERSION and file.text != present for file in acts):
+        content["previous"] = present
+        content["replaced"] = [
+            str(f.path) for f, act in acts.items() if act == "replace" and f.cell
+        ]
     make_folder(places.configuration)
     write_list(places, MANIFEST, content)
     (places.configuration / LEFT).unlink(missing_ok=True)
@@ -444,7 +491,7 @@ def write_list(places: Places, name: str, content: Mapping[str, object]) -> None
     (places.configuration / name).chmod(0o644)
 
 
-def run_all(commands: list[list[str]]) -> int:
+def run_all(commands: Sequence[Sequence[str]]) -> int:
     """Run commands, all of them even if one fails. Return the exit code of the verb."""
     status = ExitStatus.DONE
     for command in commands:

@@ -55,7 +55,7 @@ from tapping_cell.cli.start_checks import refuse_unused, require_folder
 from tapping_cell.configuration.assembly import make_strike_space, make_tap
 from tapping_cell.configuration.cell import Cell, load_cell
 from tapping_cell.configuration.files import shared_folder
-from tapping_cell.configuration.objects import ObjectFile, load_object
+from tapping_cell.configuration.objects import ObjectFile, area_of, load_object
 from tapping_cell.configuration.schema import ConfigurationError, load
 from tapping_cell.logic.arm_times import ArmTimes, arm_times
 from tapping_cell.mechanics import MechanicsError, Tap
@@ -112,6 +112,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--tolerance",
+        action=argument_types.Tolerance,
         **argument_types.MM_AND_DEGREES,
         default=(1.0, 1.0),
         help="position and angle tolerance of the goal, in mm and degrees (default: 1 1)",
@@ -147,8 +148,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="HZ",
         help="images per second of a camera that follows the slide, from which the planner learns "
         "friction and torque factor apart from the scatter of the impact. off: poses at rest only. "
-        "truth: the true values are known after the first tap, which no camera exceeds (only with "
-        "--model abstract; default: off)",
+        "truth: the true values are known after the first tap, which no camera exceeds (with "
+        "--model abstract, or a rate with --model world --table; default: off)",
     )
     parser.add_argument(
         "--off-centre",
@@ -340,8 +341,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         metavar="DIR",
         help="folder for trials.csv, a table of all trials; with --all also for the comparison and "
-        "its plots, with --sweep instead for the table of the points and its plot, with --arrange "
-        "instead for figures of up to six scenes",
+        "its plots, with --sweep also for the table of the points and its plot, with --arrange "
+        "instead for scenes.csv and figures of up to six scenes",
     )
 
 
@@ -377,10 +378,10 @@ def run(arguments: argparse.Namespace) -> int:
     else:
         print(_text(arguments.planner, figures))
     if arguments.report is not None:
-        from tapping_cell.report.tables import TRIALS, write_trials
+        from tapping_cell.report.tables import TRIALS, trial_columns, write_trials
 
-        arguments.report.mkdir(parents=True, exist_ok=True)
-        write_trials(arguments.report / TRIALS, {arguments.planner: results})
+        method = {"method": arguments.planner}
+        write_trials(arguments.report / TRIALS, [(method, trial_columns(results))])
     return 0
 
 
@@ -477,8 +478,12 @@ def _track(arguments: argparse.Namespace) -> float:
         raise PlanningError(
             f"--track is {arguments.track}; give images per second, off or truth"
         ) from None
-    if rate and (arguments.model != "abstract" or arguments.table):
-        raise PlanningError("--track needs --model abstract, without --table")
+    shown = rate > 0.0 and arguments.model == "world" and arguments.table
+    if rate and not shown and (arguments.model != "abstract" or arguments.table):
+        raise PlanningError(
+            "--track needs --model abstract without --table, or --model world with --table (a "
+            "rate only): the other models have no motion in time"
+        )
     return rate
 
 
@@ -649,6 +654,7 @@ def _seconds_text(figures: dict[str, Any]) -> list[str]:
 
 def _sweep(arguments: argparse.Namespace) -> int:
     from tapping_cell.report.sweep import sweep_table, write_sweep
+    from tapping_cell.report.tables import TRIALS
 
     if arguments.report is None or arguments.all:
         raise PlanningError("--sweep needs a folder for its report: give --report DIR; omit --all")
@@ -657,7 +663,9 @@ def _sweep(arguments: argparse.Namespace) -> int:
         # Check every point now, so that an error is reported before the first trial.
         chosen = sweep.arguments_at(arguments, point)
         make_evaluation(chosen, chosen.planner)
-    kept = sweep.KeptPoints(arguments.report, inputs_of(arguments, "sweep", "cluster"))
+    # Points of version 1, which has no key, lack the trials.
+    common = {**inputs_of(arguments, "sweep", "cluster"), "version": 2}
+    kept = sweep.KeptPoints(arguments.report, common)
     with progress("sweep", len(points)) as advance:
         try:
             rows = sweep.sweep(
@@ -676,7 +684,7 @@ def _sweep(arguments: argparse.Namespace) -> int:
                 file=sys.stderr,
             )
             raise
-    write_sweep(arguments.report, rows)
+    write_sweep(arguments.report, rows, [figures.pop(TRIALS) for _, figures in rows])
     if arguments.json:
         print(json.dumps([{"point": point, "figures": figures} for point, figures in rows]))
     else:
@@ -687,11 +695,14 @@ def _sweep(arguments: argparse.Namespace) -> int:
 
 def _measure_point(arguments: argparse.Namespace, point: sweep.Point) -> dict[str, Any]:
     """Evaluate one point of a sweep in a separate process."""
+    from tapping_cell.report.tables import TRIALS, trial_columns
+
     chosen = sweep.arguments_at(arguments, point)
     # Use one process, because the points are evaluated in parallel. The option json suppresses the
     # progress bar of the point, because the sweep shows a progress bar of its own.
     chosen.processes, chosen.json = 1, True
-    return measure(chosen, make_evaluation(chosen, chosen.planner))
+    figures, results = _measure(chosen, make_evaluation(chosen, chosen.planner))
+    return {**figures, TRIALS: trial_columns(results)}
 
 
 def _compare(arguments: argparse.Namespace) -> int:
@@ -731,7 +742,9 @@ def _arrange(arguments: argparse.Namespace) -> int:
     """Evaluate scenes of several objects. With ``--all``, evaluate the built-in planner and the
     baselines."""
     names = list(arrangements.METHODS) if arguments.all else [arguments.method]
-    figures = {}
+    if arguments.unknown or _track(arguments):
+        raise PlanningError("--arrange does not simulate --unknown or --track; leave them out")
+    figures, scenes = {}, {}
     for name in names:
         task = arrangements.ArrangementTask(
             arguments.arrange,
@@ -747,10 +760,13 @@ def _arrange(arguments: argparse.Namespace) -> int:
             task, kinds, arguments.trials, arguments.seed, arguments.processes
         )
         figures[name] = arrangements.summarise_arrangements(trials)
-        if arguments.report is not None and name == names[0]:
-            from tapping_cell.report.arrangement_figures import write_scenes
+        scenes[name] = trials
+    if arguments.report is not None:
+        from tapping_cell.report.arrangement_figures import draw_scenes
+        from tapping_cell.report.tables import SCENES, write_scenes
 
-            write_scenes(arguments.report, trials)
+        draw_scenes(arguments.report, scenes[names[0]])
+        write_scenes(arguments.report / SCENES, scenes)
     if arguments.json:
         print(
             json.dumps(
@@ -777,23 +793,20 @@ def arrangement_kinds(arguments: argparse.Namespace) -> list[arrangements.Kind]:
 
 
 def _shapes(content: ObjectFile, arguments: argparse.Namespace) -> list[ObjectFile]:
-    """Return variants of the given object: disks and squares of the requested sizes."""
+    """Return variants of the given object, of its density: disks and squares of the requested
+    sizes."""
     radii = [1e-3 * radius for radius in arguments.radius]
     if arguments.goals == "grid":
         radii = radii[:1]
-    area = content.mass / content.body().radius_of_gyration ** 2
-    made = []
+    shapes = []
     for radius in radii:
-        disk = replace(content.shape, kind="disk", radius=radius, vertices=None)
-        made.append(replace(content, shape=disk))
+        shapes.append(replace(content.shape, kind="disk", radius=radius, vertices=None))
         if arguments.goals != "grid":
             corner = radius / math.sqrt(2.0)
             corners = ((corner, corner), (-corner, corner), (-corner, -corner), (corner, -corner))
-            square = replace(content.shape, kind="polygon", radius=None, vertices=corners)
-            made.append(replace(content, shape=square))
-    return [
-        replace(each, mass=max(0.01, area * each.body().radius_of_gyration ** 2)) for each in made
-    ]
+            shapes.append(replace(content.shape, kind="polygon", radius=None, vertices=corners))
+    share = content.mass / area_of(content.shape)
+    return [replace(content, shape=shape, mass=share * area_of(shape)) for shape in shapes]
 
 
 def _arrangement_text(method: str, figures: dict[str, Any]) -> str:

@@ -73,13 +73,14 @@ def run_fixed(arguments: argparse.Namespace, cell: Cell) -> int:
     Raises:
         PlanningError: an option does not apply to a cell with fixed tappers.
     """
+    from tapping_cell.report.tables import TRIALS, trial_columns, write_trials
+
     without_meaning = {
         "--all": arguments.all,
         "--table": arguments.table,
         "--probe": arguments.probe,
         "--random-tasks": arguments.random_tasks is not None,
         f"--model {arguments.model}": arguments.model != "abstract",
-        "--report": arguments.report is not None,
         "--box": arguments.box is not None,
         "--gain-bias": tuple(arguments.gain_bias) != (0.0, 0.0),
         "--unknown": arguments.unknown != [],
@@ -92,7 +93,7 @@ def run_fixed(arguments: argparse.Namespace, cell: Cell) -> int:
             f"a cell with fixed tappers does not support {', '.join(given)}: remove what is named "
             "here, or give a cell file with an arm"
         )
-    rows = []
+    rows, trials = [], []
     for angle in arguments.start_angles:
         evaluation = _evaluation(arguments, cell, angle)
         with progress("trials", evaluation.trials) as note:
@@ -103,6 +104,9 @@ def run_fixed(arguments: argparse.Namespace, cell: Cell) -> int:
         figures["start_angle_deg"] = angle
         figures["trials_per_second"] = evaluation.trials / elapsed
         rows.append(figures)
+        trials.append(({"start_angle_deg": angle}, trial_columns(results)))
+    if arguments.report is not None:
+        write_trials(arguments.report / TRIALS, trials)
     if arguments.json:
         report = {"cell": cell.file.name, "rows": rows, "inputs": inputs_of(arguments)}
         print(json.dumps(report, indent=2))

@@ -86,6 +86,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     argument_types.add_namespace(parser)
     parser.add_argument(
         "--tolerance",
+        action=argument_types.Tolerance,
         nargs=2,
         type=argument_types.within(0, 1000),
         default=(0.0, 0.0),

@@ -26,6 +26,9 @@ from tapping_cell.nodes.cell_identity import STATE, cell_key, claim
 SIMULATED = ("sim_world", "camera_pose", "tap_planner", "scara_arm", "tapper_trigger")
 HARDWARE = ("overhead_camera", "camera_pose", "tap_planner", "scara_arm", "tapper_trigger")
 
+DRIVERS = ("scara_arm", "tapper_trigger")
+"""Nodes that keep the priority with which the graph was started; the others have at most the
+usual one."""
 RECORDER = "run_recorder"
 """Recorder of every goal. If the recorder ends, the graph continues, because the cell works without
 it."""
@@ -186,7 +189,7 @@ class Graph:
             # In a session of its own, a node does not receive a Ctrl-C at the terminal. Only this
             # process receives it, and then ends the nodes.
             start_new_session=True,
-            preexec_fn=_die_with_parent,
+            preexec_fn=_die_with_parent if name in DRIVERS else _be_usual,
         )
         return Child(name, process, log, stream, logged_before)
 
@@ -269,6 +272,11 @@ def _signal_group(child: Child, number: signal.Signals) -> None:
 
 def _die_with_parent() -> None:
     ctypes.CDLL(None).prctl(_PARENT_DEATH_SIGNAL, signal.SIGKILL)
+
+
+def _be_usual() -> None:
+    _die_with_parent()
+    os.setpriority(os.PRIO_PROCESS, 0, max(0, os.getpriority(os.PRIO_PROCESS, 0)))
 
 
 def parameter_text(value: object) -> str:

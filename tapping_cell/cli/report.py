@@ -32,7 +32,7 @@ from rich.table import Table
 from tapping_cell.cli.errors import print_error
 from tapping_cell.cli.progress import progress
 from tapping_cell.durable_file import replace_text
-from tapping_cell.report.bag import BagError
+from tapping_cell.report.recorded import BagError
 from tapping_cell.report.run import Run
 from tapping_cell.report.run_comparison import Row, comparison_page, groups_of, row_of
 from tapping_cell.report.run_folder import (

@@ -66,7 +66,8 @@ from tapping_cell.configuration.files import shared_folder
 from tapping_cell.configuration.schema import ConfigurationError, load
 from tapping_cell.nodes.clients.single_tap_client import NoAnswer, SingleTapClient
 from tapping_cell.planning import PlanningError
-from tapping_cell.report.bag import BagError, BagWriter
+from tapping_cell.report.bag import BagWriter
+from tapping_cell.report.recorded import BagError
 from tapping_cell.simulation.truth import TruthFile
 
 RATE_WINDOW_S = 1.0

@@ -23,7 +23,7 @@ from tapping_cell.cli.deploy import (
     user_exists,
     write_list,
 )
-from tapping_cell.cli.deployment.places import LEFT, MANIFEST, Places
+from tapping_cell.cli.deployment.places import LEFT, MANIFEST, VERSIONS, Places
 from tapping_cell.cli.errors import ExitStatus, print_error
 
 
@@ -94,9 +94,9 @@ def run(arguments: argparse.Namespace) -> int:
     except OSError as error:
         print_error(f"{error.filename}: {error.strerror}")
         return ExitStatus.FAILED
-    for folder in (places.configuration / "objects", places.configuration):
+    for name in ("objects", VERSIONS, ""):
         with contextlib.suppress(OSError):
-            folder.rmdir()
+            (places.configuration / name).rmdir()
     return run_all(after) or status
 
 

@@ -115,15 +115,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         " (default: delete nothing)",
     )
     parser.add_argument("--no-record", action="store_true", help="do not record runs")
-    parser.add_argument(
-        "--page",
-        nargs="?",
-        type=page_place,
-        const=("localhost", 8010),
-        metavar="[ADDRESS:]PORT",
-        help="serve the operator's page (default address: localhost:8010); 0.0.0.0:PORT serves it"
-        " to the whole network and requires a token",
-    )
+    argument_types.add_page(parser)
     parser.add_argument(
         "--logs",
         type=Path,
@@ -326,20 +318,6 @@ def require_devices(cell: Cell, arguments: argparse.Namespace) -> None:
             f"{', '.join(missing)} {'is' if len(missing) == 1 else 'are'} missing: check power"
             f" and cables, or correct the names; the cell file is {cell.path}"
         )
-
-
-def page_place(text: str) -> tuple[str, int]:
-    """Parse address and port from ``PORT`` or ``ADDRESS:PORT``, with an IPv6 address in brackets.
-
-    Raises:
-        argparse.ArgumentTypeError: the text has neither form.
-    """
-    found = re.fullmatch(r"(?:(\[[0-9a-fA-F:.]+\]|[^:\[\]]+):)?(\d{1,5})", text)
-    if found is None or not 0 < int(found[2]) <= 65535:
-        raise argparse.ArgumentTypeError(
-            f"'{text}' is neither PORT nor ADDRESS:PORT; give one such as 8010 or 0.0.0.0:8010"
-        )
-    return (found[1] or "localhost").strip("[]"), int(found[2])
 
 
 def node_parameters(arguments: argparse.Namespace, cell: Cell) -> dict[str, dict[str, object]]:

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import argparse
 import sys
-from pathlib import Path
 
+from tapping_cell.cli import argument_types
 from tapping_cell.cli.errors import print_error
 from tapping_cell.configuration.cell import load_cell
 from tapping_cell.configuration.schema import ConfigurationError
@@ -18,7 +18,7 @@ from tapping_cell.hardware.urdf import urdf
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the verb."""
-    parser.add_argument("--cell", type=Path, help="cell file (default: the package's cell.yaml)")
+    argument_types.add_cell(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -19,6 +19,15 @@ _PLAIN = str.maketrans(
     | dict.fromkeys(_INVISIBLE, "")
 )
 _NUMBER = r"[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?"
+_MONTH = "(jan|feb|mar|m\u00e4r|mrz|apr|ma[iy]|jun|jul|aug|sep|o[ck]t|nov|de[cz])[a-z]*"
+_DATE = re.compile(
+    rf"[0-9]{{1,4}}[-./ ]+{_MONTH}\.?([-./ ]+[0-9]{{1,4}})?"
+    rf"|{_MONTH}[-./ ]+[0-9]{{1,4}}"
+    r"|[0-9]{4}-[0-9]{1,2}-[0-9]{1,2}( .*)?"
+    r"|[0-9]{1,2}(?P<mark>[./])[0-9]{1,2}(?P=mark)[0-9]{2,4}( .*)?",
+    re.IGNORECASE,
+)
+"""What spreadsheets make of numbers such as 1.2 or 3-5."""
 _OTHER_UNITS = {
     "m": (("mm", 1e-3), ("cm", 1e-2)),
     "rad": (("deg", math.pi / 180.0),),
@@ -69,6 +78,11 @@ def _folded(word: str) -> str:
 
 def number_hint(text: str, unit: str = "") -> str:
     """Return a hint at why a text is not a number; empty if nothing is recognised."""
+    if _DATE.fullmatch(text.strip()):
+        return (
+            "; a spreadsheet has turned the number into a date: set the format of its cells to "
+            "text before you enter or import the values again"
+        )
     odd = character_hint(text)
     plain = plain_characters(text).strip().strip("\"'").strip()
     if re.fullmatch(_NUMBER, plain):

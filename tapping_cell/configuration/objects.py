@@ -134,7 +134,7 @@ _SLIPS = {
 """Common mistakes, by the ratio of the resulting density to the true one."""
 
 
-def _area(shape: ShapeSection) -> float:
+def area_of(shape: ShapeSection) -> float:
     """Return the area of the outline, m^2."""
     if shape.radius is not None:
         return math.pi * shape.radius**2
@@ -173,7 +173,7 @@ def _check_centre(shape: ShapeSection) -> None:
     if shape.vertices is None:
         return
     x, y = centroid(np.array(shape.vertices)).tolist()
-    if math.hypot(x, y) > MOST_OFF_CENTRE * math.sqrt(_area(shape)):
+    if math.hypot(x, y) > MOST_OFF_CENTRE * math.sqrt(area_of(shape)):
         raise ValueError(
             f"the centre of the polygon is at ({1e3 * x:.1f} mm, {1e3 * y:.1f} mm), but must be "
             f"the origin; subtract [{x:.5g}, {y:.5g}] from each vertex"
@@ -333,7 +333,7 @@ class ObjectFile:
 
     def __post_init__(self) -> None:
         """Raise ValueError if mass and dimensions give an impossible density."""
-        area = _area(self.shape)
+        area = area_of(self.shape)
         if not area > 0.0:
             return  # reported for the shape
         density = self.mass / (area * self.height)

@@ -123,11 +123,25 @@ def read_yaml(path: Path) -> Any:
     except OSError as error:
         raise ConfigurationError(
             f"{path}: cannot be read ({error.strerror}); give the path of an existing YAML file"
+            + _similar_path(path)
         ) from error
     except UnicodeDecodeError as error:
         raise ConfigurationError(f"{path}: is not UTF-8 text; save it as UTF-8") from error
     except YamlError as error:
         raise ConfigurationError(f"{path}: {error}") from error
+
+
+def _similar_path(path: Path) -> str:
+    """Return a hint at a file whose path is similar to that of a missing file; empty if there is
+    none."""
+    as_on_linux = Path(str(path).replace("\\", "/"))
+    if as_on_linux != path and as_on_linux.is_file():
+        return f"; did you mean '{as_on_linux}'?"
+    try:
+        files = [] if path.exists() else [file.name for file in path.parent.iterdir()]
+    except OSError:
+        return ""
+    return did_you_mean(path.name, files)
 
 
 def load(kind: type[Section], path: Path | str) -> Section:
@@ -143,12 +157,12 @@ def load(kind: type[Section], path: Path | str) -> Section:
 def build(kind: type[Section], document: Any, source: str, key: str = "") -> Section:
     """Build a section of class ``kind`` from a document. ``source`` is the document's name in error
     messages."""
+    fields = {entry.name: entry for entry in dataclasses.fields(kind)}  # type: ignore[arg-type]
     if not isinstance(document, Mapping):
         raise ConfigurationError(
             f"{source}: {key or 'the document'} must be a mapping of keys to values, "
-            f"not {_kind_name(document)}"
+            f"not {_kind_name(document)}; the keys here are {', '.join(fields)}"
         )
-    fields = {entry.name: entry for entry in dataclasses.fields(kind)}  # type: ignore[arg-type]
     hints = typing.get_type_hints(kind)
     for name in document:
         if name not in fields:

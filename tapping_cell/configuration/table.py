@@ -147,6 +147,23 @@ OFF_CENTRE = 0.05
 """The same limit if both coordinates are off by the same factor, as those of another resolution."""
 
 
+LARGE_TANGENTIAL = 0.01
+"""Tangential coefficients p1 and p2 above which a warning is given. Those of lenses that are
+mounted straight are a few thousandths."""
+
+
+def camera_warning(camera: CameraModel) -> str:
+    """Return a warning about an unusual lens model; empty if there is none."""
+    tangential = camera.distortion[2:4]
+    if all(abs(value) <= LARGE_TANGENTIAL for value in tangential):
+        return ""
+    return (
+        "key 'distortion_coefficients': the tangential coefficients p1 and p2 are "
+        f"{tangential[0]:g} and {tangential[1]:g} (usual: up to {LARGE_TANGENTIAL:g}); check the "
+        "order, which is k1, k2, p1, p2, k3 (some programs write k3 before p1)"
+    )
+
+
 def check_camera(camera: CameraModel) -> None:
     """Raise ValueError if the camera matrix belongs to an image of another size, the focal length
     is implausible, or the image radius does not grow with the angle of the ray."""

@@ -52,6 +52,11 @@ def parse_yaml(text: str) -> Any:
     """
     if conflict := conflict_hint(text):
         raise YamlError(f"malformed YAML: {conflict}")
+    if re.search("^%YAML:", text, re.MULTILINE):
+        raise YamlError(
+            "the line %YAML:1.0 is that of OpenCV's cv::FileStorage; delete this line and each "
+            "!!opencv-matrix, and name the keys as in the supplied file"
+        )
     try:
         return _Document(text).read()
     except yaml.YAMLError as error:

@@ -136,9 +136,14 @@ class CellMonitor:
         """Store that the arm may hide an object of ``object_states`` now."""
         self._covered_at[name] = now.steady
 
+    def begin_track(self) -> None:
+        """Forget earlier slides of the watched object, because a tap is planned now."""
+        if (record := self._slides.get(self._watched)) is not None:
+            record.begin()
+
     def track(self, rest: ObjectState) -> Track | None:
-        """Return the track of the last slide of the watched object, which is observed at rest in
-        ``rest``; None if the slide was not seen."""
+        """Return the track of the slide of the watched object since ``begin_track``. It is observed
+        at rest in ``rest``. Return None if no slide was seen."""
         record = self._slides.get(self._watched)
         return None if record is None else record.last_slide(rest)
 

@@ -39,6 +39,12 @@ class SlideRecord:
             self._seen.pop()
         self._seen.append(state)
 
+    def begin(self) -> None:
+        """Forget earlier slides: the next one is that of a tap planned for the last observation. A
+        tap that misses the object then has no slide."""
+        while len(self._seen) > 1:
+            self._seen.popleft()
+
     def last_slide(self, rest: ObjectState) -> Track | None:
         """Return the poses of the slide before ``rest``, an observation of the object at rest:
         those of the images of the moving object, with their own stamps, and one of the rest before

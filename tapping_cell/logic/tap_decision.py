@@ -82,6 +82,7 @@ def _plan(look: Looking, strike: Strike, before: Pose, cell: Cell, now: Now) -> 
     """Command or propose one tap."""
     task = look.task
     covariance = task.session.predicted_covariance(strike, before)
+    cell.monitor.begin_track()
     shot = Shot(
         cell.sender.next_id(now),
         task.object_id,

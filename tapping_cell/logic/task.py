@@ -14,6 +14,7 @@ from tapping_cell.logic.cell_monitor import CellMonitor
 from tapping_cell.logic.clock import Now, to_stamp
 from tapping_cell.logic.effects import Token
 from tapping_cell.logic.learnt import to_message as learnt_message
+from tapping_cell.logic.learnt import track_message
 from tapping_cell.logic.poses import (
     covariance_from_message,
     covariance_to_message,
@@ -40,7 +41,7 @@ from tapping_cell.planning import (
 )
 from tapping_cell.planning.session import GoalSession
 from tapping_cell.planning.stopping import LONG_OBSERVATION
-from tapping_cell.planning.track import Track
+from tapping_cell.planning.track import Launched, Track
 from tapping_cell.se2 import Pose
 from tapping_cell.vision import ReferenceMap
 
@@ -118,9 +119,12 @@ class Shot:
         tap.predicted_pose.covariance = covariance_to_message(self.covariance)
         return tap
 
-    def record(self, seen: ObjectState | None, gains: Gains) -> TapRecord:
+    def record(
+        self, seen: ObjectState | None, gains: Gains, launched: Launched | None = None
+    ) -> TapRecord:
         """Return the record of this tap. ``seen``: observation of its result, None if there was
-        none. ``gains``: corrections of the object's model, learnt up to this tap."""
+        none. ``gains``: corrections of the object's model, learnt up to this tap. ``launched``:
+        launch in the track of the slide, None if it was not seen."""
         strike = self.strike
         if seen is None:
             seen = ObjectState()
@@ -147,6 +151,7 @@ class Shot:
             strike_pose=to_message(strike.plan.strike_pose),
             outcome=self.outcome,
             at_rest_at=seen.at_rest_since,
+            track=track_message(launched),
             learnt=learnt_message(gains),
         )
         if self.fired_at is not None:
@@ -263,7 +268,8 @@ class Task:
         pose = from_message(seen.pose.pose)
         covariance = covariance_from_message(seen.pose.covariance)
         self.learn(shot, pose, covariance)
-        self.records.append(shot.record(seen, self.session.gains))
+        launched = self.session.launched if isinstance(self.session, GoalSession) else None
+        self.records.append(shot.record(seen, self.session.gains, launched))
         wanted = math.hypot(shot.strike.wanted.x, shot.strike.wanted.y)
         moved = shot.before.distance_to(pose) > MIN_EFFECT * wanted
         self.without_effect = 0 if moved else self.without_effect + 1

@@ -239,7 +239,10 @@ def _convex(vertices: Iterable[Iterable[float]]) -> Array:
     size = float(lengths.max())
     if lengths.min() <= 1e-9 * size:
         i = int(lengths.argmin())
-        raise InvalidBodyError(f"polygon vertex {i} at {raw[i].tolist()} m appears twice.")
+        raise InvalidBodyError(
+            f"polygon vertex {i} at {raw[i].tolist()} m appears twice; delete it. The outline is "
+            "closed without a repetition of its first vertex."
+        )
     following = np.roll(edges, -1, axis=0)
     turn = np.arctan2(cross(edges, following), np.einsum("ij,ij->i", edges, following))
     corner = np.roll(np.arange(len(points)), -1)

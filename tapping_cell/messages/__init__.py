@@ -357,6 +357,24 @@ class ErrorCode:
 
 
 @dataclass(slots=True, kw_only=True)
+class SlideTrack:
+    """Mirror of ``tapping_cell_msgs/msg/SlideTrack``."""
+
+    ROS_TYPE: ClassVar[str] = "tapping_cell_msgs/msg/SlideTrack"
+
+    poses: int = 0
+    speed: float = 0.0
+    speed_deviation: float = 0.0
+    spin: float = 0.0
+    spin_deviation: float = 0.0
+    deceleration: float = 0.0
+    deceleration_deviation: float = 0.0
+    model_speed: float = 0.0
+    model_spin: float = 0.0
+    model_deceleration: float = 0.0
+
+
+@dataclass(slots=True, kw_only=True)
 class LearntGains:
     """Mirror of ``tapping_cell_msgs/msg/LearntGains``."""
 
@@ -374,6 +392,22 @@ class LearntGains:
     offset_x_deviation: float = 0.0
     offset_y: float = 0.0
     offset_y_deviation: float = 0.0
+    impact_distance: float = 0.0
+    impact_distance_deviation: float = 0.0
+    slide_distance: float = 0.0
+    slide_distance_deviation: float = 0.0
+    impact_rotation: float = 0.0
+    impact_rotation_deviation: float = 0.0
+    slide_rotation: float = 0.0
+    slide_rotation_deviation: float = 0.0
+    impact_offset_x: float = 0.0
+    impact_offset_x_deviation: float = 0.0
+    slide_offset_x: float = 0.0
+    slide_offset_x_deviation: float = 0.0
+    impact_offset_y: float = 0.0
+    impact_offset_y_deviation: float = 0.0
+    slide_offset_y: float = 0.0
+    slide_offset_y_deviation: float = 0.0
     explained: int = 0
     unexplained: int = 0
 
@@ -406,6 +440,7 @@ class TapRecord:
     fired_at: Time = field(default_factory=Time)
     at_rest_at: Time = field(default_factory=Time)
     outcome: int = 0
+    track: SlideTrack = field(default_factory=SlideTrack)
     learnt: LearntGains = field(default_factory=LearntGains)
 
 

@@ -37,6 +37,7 @@ from tapping_cell.logic.host import (
     ShutDown,
     UnansweredRequest,
 )
+from tapping_cell.nodes import service_manager
 from tapping_cell.nodes.authority import contest, impostor
 from tapping_cell.nodes.cell_node import CellNode, Parameters
 from tapping_cell.nodes.kept_content import KeptContent
@@ -65,6 +66,8 @@ class LogicHost(Generic[Machine]):
         self._abandoned: set[int] = set()
         self._publishers: dict[str, Any] = {}
         self._observers: dict[str, Callable[[Any], None]] = {}
+        self._codes: dict[str, int] = {}
+        """Error code of the last message on each topic."""
         self._clients: dict[str, Any] = {}
         self._calls: dict[Any, tuple[Any, Any, float]] = {}
         self._tokens = itertools.count(1)
@@ -262,6 +265,11 @@ class LogicHost(Generic[Machine]):
             self._feedback[effect.token](effect.message)
 
     def _publish(self, effect: fx.Publish) -> None:
+        code = getattr(effect.message, "error_code", 0)
+        if code and code != self._codes.get(effect.topic):
+            sentence = getattr(effect.message, "error_msg", "")
+            service_manager.journal(self._node.get_name(), code, sentence)
+        self._codes[effect.topic] = code
         self._publishers[effect.topic].publish(to_ros(effect.message))
         if effect.topic in self._observers:
             self._observers[effect.topic](effect.message)

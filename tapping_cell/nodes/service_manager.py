@@ -1,4 +1,5 @@
-"""Messages to the service manager that started this process: systemd, or the verb ``up``.
+"""Messages to the service manager that started this process, systemd or the verb ``up``, and to
+systemd's journal.
 
 The protocol is that of sd_notify(3): a datagram to the socket in ``NOTIFY_SOCKET``. Without this
 variable, nothing is sent. ``up`` sets it for its nodes, and systemd for ``up``.
@@ -13,6 +14,9 @@ import struct
 
 SOCKET_VARIABLE = "NOTIFY_SOCKET"
 ALIVE = "WATCHDOG=1"
+JOURNAL = "/run/systemd/journal/socket"
+STREAM_VARIABLE = "JOURNAL_STREAM"
+"""Variable that systemd sets for a service whose output goes to the journal."""
 _CREDENTIALS = struct.Struct("3i")  # struct ucred: pid, uid, gid
 
 
@@ -28,6 +32,27 @@ def notify(state: str) -> None:
     ):
         abstract = address.startswith("@")
         sender.sendto(state.encode(), "\0" + address[1:] if abstract else address)
+
+
+def journal(node: str, code: int, sentence: str) -> None:
+    """Write an error code to the journal of systemd, with the fields ``TAPPING_CELL_CODE`` and
+    ``TAPPING_CELL_NODE``. Without systemd, and after a failure, nothing is written: the node's log
+    has the sentence too."""
+    if STREAM_VARIABLE not in os.environ:
+        return
+    fields = {
+        "MESSAGE": f"{node}: {' '.join(sentence.split())} ({code})",
+        "PRIORITY": "4",
+        "SYSLOG_IDENTIFIER": "tapping_cell",
+        "TAPPING_CELL_CODE": str(code),
+        "TAPPING_CELL_NODE": node,
+    }
+    text = "".join(f"{key}={value}\n" for key, value in fields.items())
+    with (
+        contextlib.suppress(OSError),
+        socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK) as sender,
+    ):
+        sender.sendto(text.encode(errors="replace"), JOURNAL)
 
 
 class Notifications:

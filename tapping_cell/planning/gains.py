@@ -44,16 +44,27 @@ middle along -y and +x of the object."""
 LOWEST = np.array([0.1, 0.1, -0.5, -0.05, -20.0, -20.0])
 HIGHEST = np.array([10.0, 10.0, 0.5, 0.05, 20.0, 20.0])
 
+PARTS = ("distance", "rotation", "offset_x", "offset_y")
+"""Those of the parameters that have a part of the impact and a part of the slide. The two parts of
+the distance gain are multiplied, those of the other parameters are added."""
+
+PART_BOUNDS = np.array([[0.1, 10.0], [-10.0, 10.0], [-20.0, 20.0], [-20.0, 20.0]])
+_OF_PARTS = np.array([[0, 1], [2, 3], [4, 6], [5, 7]])
+"""Indices of the parts among the numbers of the beliefs about distance and rotation."""
+_IMPACT = np.array([0.0, 0.0, 0.5, 0.5])
+"""Share of the impact in saved parameters without parts."""
+
 DISTANCE = Prior(
     weight=np.array([0.75, 0.25]),
     mean=np.zeros((2, 2)),
-    deviation=np.array([[0.0283, 0.0283], [0.10, 0.592]]),
+    deviation=np.array([[0.0283, 0.0283], [0.10, 0.693]]),
     change=1,
     span=4.0,
 )
 """Prior of ln(distance gain) of impact and slide. A mixture of a narrow distribution (standard
 deviation of the sum 4 %), for an object that matches its file, and a wide one, for a friction that
-differs from the file by a factor of up to 4."""
+differs from the file by a factor of up to 5. With three standard deviations, the footprint of a
+first tap contains 999 of 1000 slides on a table with a fifth of the friction."""
 
 ROTATION = Prior(
     weight=np.array([0.60, 0.20, 0.12, 0.08]),
@@ -411,14 +422,28 @@ class Gains:
         )
         return np.asarray(effects.T @ effects)
 
+    @property
+    def parts(self) -> tuple[Array, Array]:
+        """Expected values and standard deviations, each (..., 4, 2), of the part of the impact and
+        the part of the slide of the parameters in ``PARTS``."""
+        mean = np.concatenate([self.distance.expected(), self.rotation.expected()], axis=-1)
+        spread = np.concatenate([self.distance.deviation(), self.rotation.deviation()], axis=-1)
+        mean, spread = mean[..., _OF_PARTS], spread[..., _OF_PARTS]
+        mean[..., 0, :] = np.exp(mean[..., 0, :])
+        spread[..., 0, :] *= mean[..., 0, :]
+        return np.clip(mean, PART_BOUNDS[:, :1], PART_BOUNDS[:, 1:]), spread
+
     def as_numbers(self) -> dict[str, float]:
         """Convert the gains of one object to numbers for a file: value and standard deviation of
-        each parameter, in SI units."""
-        value, deviation = self.value, self.deviation
+        each parameter and of its parts, in SI units."""
+        names = [*NAMES, *(f"{part}_{name}" for name in PARTS for part in ("impact", "slide"))]
+        value, deviation = self.parts
+        values = np.append(self.value, value)
+        deviations = np.append(self.deviation, deviation)
         return {
             key: float(number)
-            for index, name in enumerate(NAMES)
-            for key, number in ((name, value[index]), (f"{name}_deviation", deviation[index]))
+            for index, name in enumerate(names)
+            for key, number in ((name, values[index]), (f"{name}_deviation", deviations[index]))
         }
 
     @classmethod
@@ -426,36 +451,40 @@ class Gains:
         """Restore gains saved by ``as_numbers``, for the same object in a later run.
 
         The saved numbers replace the narrow priors. The wide priors are kept, because friction may
-        have changed, for example with the table or the humidity.
+        have changed, for example with the table or the humidity. Numbers of an earlier version lack
+        the parts of impact and slide; half of the variance is then attributed to each part.
 
         Raises:
             PlanningError: a number is missing, not finite or outside its bounds.
         """
-        value, deviation = np.empty(len(NAMES)), np.empty(len(NAMES))
-        for index, name in enumerate(NAMES):
-            kept, spread = numbers.get(name), numbers.get(f"{name}_deviation")
-            widest = HIGHEST[index] - LOWEST[index]
-            if (
-                not isinstance(kept, int | float)
-                or not isinstance(spread, int | float)
-                or not LOWEST[index] <= kept <= HIGHEST[index]
-                or not 0.0 <= spread <= widest
-            ):
-                raise PlanningError(
-                    f"the saved gain of {name} is {kept!r} with deviation {spread!r}; the gain "
-                    f"must be {LOWEST[index]:g} to {HIGHEST[index]:g} and the deviation 0 to "
-                    f"{widest:g}; delete the file to start without saved gains"
-                )
-            value[index], deviation[index] = kept, spread
-        made = cls.start()
-        # Which part the impact has is not saved; half of the variance is attributed to it.
-        half = math.sqrt(0.5) * deviation[:2]
-        _replace_main(made.distance, [0.0, math.log(value[0])], [half[0] / value[0]] * 2)
-        offset, off = value[4:] / 2.0, math.sqrt(0.5) * deviation[4:]
-        _replace_main(
-            made.rotation, [0.0, value[1], *offset, *offset], [half[1], half[1], *off, *off]
+        whole = np.array(
+            [_saved(numbers, *each) for each in zip(NAMES, LOWEST, HIGHEST, strict=True)]
         )
-        _replace_main(made.direction, value[[2, 3]], deviation[[2, 3]])
+        total = whole[[NAMES.index(name) for name in PARTS]]
+        total[0] = _logarithm(total[0])
+        if f"slide_{PARTS[0]}" in numbers:
+            pairs = [
+                [_saved(numbers, f"{part}_{name}", low, high) for part in ("impact", "slide")]
+                for name, (low, high) in zip(PARTS, PART_BOUNDS, strict=True)
+            ]
+            parts = np.array(pairs)
+            parts[0] = [_logarithm(part) for part in parts[0]]
+        else:
+            shares = np.stack([_IMPACT, 1.0 - _IMPACT], axis=-1)
+            half = np.broadcast_to(math.sqrt(0.5), shares.shape)
+            parts = total[:, None] * np.stack([shares, half], axis=-1)
+        mean, covariance = np.empty(8), np.zeros((8, 8))
+        mean[_OF_PARTS] = parts[..., 0]
+        covariance[_OF_PARTS, _OF_PARTS] = parts[..., 1] ** 2
+        # The deviation of the sum tells how far the errors of the two parts cancel.
+        between = (total[:, 1] ** 2 - np.sum(parts[..., 1] ** 2, axis=1)) / 2.0
+        limit = np.prod(parts[..., 1], axis=1)
+        one, other = _OF_PARTS.T
+        covariance[one, other] = covariance[other, one] = np.clip(between, -limit, limit)
+        made = cls.start()
+        _replace_main(made.distance, mean[:2], covariance[:2, :2])
+        _replace_main(made.rotation, mean[2:], covariance[2:, 2:])
+        _replace_main(made.direction, whole[2:4, 0], np.diag(whole[2:4, 1] ** 2))
         return made
 
 
@@ -507,12 +536,36 @@ def prediction_of(number: Array, commanded: ArrayLike, orientation: ArrayLike) -
     return np.stack([length * np.cos(along), length * np.sin(along), turn], axis=-1)
 
 
-def _replace_main(belief: Belief, mean: ArrayLike, deviation: ArrayLike) -> None:
+def _saved(numbers: dict[str, float], name: str, low: float, high: float) -> tuple[float, float]:
+    """Return a saved parameter and its standard deviation. Raises PlanningError, see
+    ``Gains.from_numbers``."""
+    kept, spread = numbers.get(name), numbers.get(f"{name}_deviation")
+    if (
+        not isinstance(kept, int | float)
+        or not isinstance(spread, int | float)
+        or not low <= kept <= high
+        or not 0.0 <= spread <= high - low
+    ):
+        raise PlanningError(
+            f"the saved gain of {name} is {kept!r} with deviation {spread!r}; the gain "
+            f"must be {low:g} to {high:g} and the deviation 0 to {high - low:g}; delete the file "
+            "to start without saved gains"
+        )
+    return kept, spread
+
+
+def _logarithm(factor: Array) -> Array:
+    """Convert a factor and its standard deviation, (2,), to those of its logarithm."""
+    value, deviation = factor
+    return np.array([math.log(value), deviation / value])
+
+
+def _replace_main(belief: Belief, mean: Array, covariance: Array) -> None:
     """Replace the narrowest prior by saved numbers, with the weight ``KEPT``."""
     belief.weight[1:] *= (1.0 - KEPT) / belief.weight[1:].sum()
     belief.weight[0] = KEPT
-    belief.mean[0] = np.asarray(mean)
-    belief.covariance[0] = np.diag(np.asarray(deviation, dtype=float) ** 2)
+    belief.mean[0] = mean
+    belief.covariance[0] = covariance
 
 
 def _directions(travel: Array) -> tuple[Array, Array]:

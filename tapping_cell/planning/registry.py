@@ -9,17 +9,22 @@ point's object is called with ``PlannerSettings`` and must return a ``Planner``:
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from importlib.metadata import EntryPoint, entry_points
 
+import numpy as np
+
 from tapping_cell.planning.errors import PlanningError, UnknownPlannerError
-from tapping_cell.planning.interface import Planner
+from tapping_cell.planning.interface import Planner, Taps
 from tapping_cell.planning.multi import multi_planner
 from tapping_cell.planning.optimal import OptimalPlanner
 from tapping_cell.planning.settings import PlannerSettings
 from tapping_cell.planning.two_tap import ConservativePlanner, ExactPlanner
 
 ENTRY_POINT_GROUP = "tapping_cell.planners"
+SLACK = 1e-6
+"""Relative rounding error that is accepted in the taps of a registered method."""
 
 BUILT_IN: dict[str, Callable[[PlannerSettings], Planner]] = {
     "exact": ExactPlanner,
@@ -64,7 +69,8 @@ def make_planner(
 
     Raises:
         UnknownPlannerError: unknown name; the message lists the names.
-        PlanningError: a registered method cannot be loaded or is not a ``Planner``.
+        PlanningError: a registered method cannot be loaded, is not a ``Planner``, or
+            chooses impossible taps.
     """
     require_planner(name)
     settings = PlannerSettings() if settings is None else settings
@@ -83,7 +89,8 @@ def load_planner(name: str, settings: PlannerSettings) -> Planner:
 
     Raises:
         UnknownPlannerError: unknown name; the message lists the names.
-        PlanningError: the class cannot be loaded or is not a ``Planner``.
+        PlanningError: the class cannot be loaded, is not a ``Planner``, or
+            chooses impossible taps.
     """
     if ":" not in name:
         return make_planner(name, settings)
@@ -103,4 +110,44 @@ def _created(point: EntryPoint, settings: PlannerSettings) -> Planner:
             f"the planning method {point.name!r} ({point.value}) returned a "
             f"{type(planner).__name__}, which lacks name, settings, choose or taps_to_go"
         )
+    if problem := _problem(planner, settings):
+        raise PlanningError(f"the planning method {point.name!r} ({point.value}): {problem}")
     return planner
+
+
+def _problem(planner: Planner, settings: PlannerSettings) -> str | None:
+    """Return what is wrong with the taps that a method chooses for a grid of residuals."""
+    distance, rotation = np.meshgrid(
+        [0.0, *np.geomspace(1e-4, 0.3, 24)], np.radians(np.linspace(-170.0, 170.0, 35))
+    )
+    try:
+        tap, after = planner.choose(distance, rotation), planner.taps_to_go(distance, rotation)
+        one = planner.choose(0.010, 0.17)
+    # a plug-in may raise any exception
+    except Exception as error:
+        return f"choose or taps_to_go fails for arrays or numbers of m and rad: {error}"
+    for returned, shape in ((tap, distance.shape), (one, ())):
+        if not isinstance(returned, Taps) or {np.shape(part) for part in returned} != {shape}:
+            return (
+                "choose must return Taps(distance, rotation), m and rad, of the shape of its "
+                f"arguments {shape}, not {type(returned).__name__}"
+            )
+    if np.shape(after) != distance.shape or np.any(np.isnan(after)):
+        return "taps_to_go must return one number for each residual, of the shape of its arguments"
+    size = np.abs(tap.distance)
+    least, steepest = settings.smallest_distance, settings.cone_slope
+    possible = (size >= least * (1 - SLACK)) & np.isfinite(size)
+    possible &= np.abs(tap.rotation) <= steepest * size * (1 + SLACK)
+    if np.all(possible):
+        return None
+    where = np.unravel_index(np.argmin(possible), possible.shape)
+    residual, chosen = (
+        f"{1e3 * x[where]:.4g} mm and {np.degrees(y[where]):.4g} degrees"
+        for x, y in ((distance, rotation), tap)
+    )
+    return (
+        f"for the residual {residual}, choose returns a tap of {chosen}, which is not possible; "
+        f"the size of a tap is at least settings.smallest_distance ({1e3 * least:.4g} mm), and its "
+        f"rotation at most settings.cone_slope ({1e-3 * math.degrees(steepest):.3g} degrees/mm) "
+        "times the size"
+    )

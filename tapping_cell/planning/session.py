@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from tapping_cell.mechanics import Polygon
 from tapping_cell.planning.alternatives import alternative_taps
 from tapping_cell.planning.free_space import FreeSpace
-from tapping_cell.planning.gains import LOWEST, NAMES, Gains, Spread
+from tapping_cell.planning.gains import LOWEST, NAMES, Gains, Slid, Spread
 from tapping_cell.planning.goal import check_goal, edge_warning, others_text, place_text
 from tapping_cell.planning.interface import Array, Planner, Taps, TapValues
 from tapping_cell.planning.near_taps import NearTaps, best_first, near_taps
@@ -23,7 +23,7 @@ from tapping_cell.planning.settings import CameraNoise, PlannerSettings
 from tapping_cell.planning.stopping import LONG_OBSERVATION, StoppingBox, stopping_box
 from tapping_cell.planning.strike import BoolArray, StrikePlan, StrikeSpace
 from tapping_cell.planning.tap_times import TapTimes
-from tapping_cell.planning.track import Track, slid_of
+from tapping_cell.planning.track import Launched, Track, launch_from, launched_of, slid_of
 from tapping_cell.planning.visited import VisitedPoses
 from tapping_cell.se2 import Pose, difference, displaced, wrap_angle
 
@@ -139,6 +139,8 @@ class GoalSession(ABC):
     track: Track | None = None
     """Poses measured during the slide of the last tap, for the next ``observe``; None if the
     slide was not seen. Only the sessions of an arm use it."""
+    launched: Launched | None = None
+    """Launch of the last tap in its track; None without a track."""
     _goal_refusal: Refusal | None
 
     def __init__(
@@ -460,17 +462,26 @@ class PositioningSession(GoalSession):
         heading = math.atan2(strike.commanded.y, strike.commanded.x)
         self._missed = (*self._missed, heading) if missed else ()
         self._skipped = ()
+        orientation = float(np.asarray(pose_before, dtype=float)[2])
+        slid = self._slid(strike.commanded, pose_before, pose_after)
         if not self._adapt:
             return
         noise = settings.camera if covariance is None else noise_of(covariance)
-        orientation = float(np.asarray(pose_before, dtype=float)[2])
-        slid, track = None, self.track
-        self.track = None
-        if track is not None and np.all(np.isfinite(moved)):
-            slid = slid_of(track, pose_before, pose_after, self._space.tap.sliding)
         self.gains = self.gains.observe(
             strike.commanded, moved, orientation, settings.scatter, noise, slid
         )
+
+    def _slid(self, commanded: Pose, before: ArrayLike, after: ArrayLike) -> Slid | None:
+        """Evaluate the track of a tap and discard it. Return what the model predicts for the
+        launch; None if the launch is unknown."""
+        track, self.track, self.launched = self.track, None, None
+        sliding = self._space.tap.sliding
+        launch = None if track is None else launch_from(track, before, after, sliding)
+        if track is None or launch is None:
+            return None
+        orientation = float(np.asarray(before, dtype=float)[2])
+        self.launched = launched_of(launch, len(track.time), commanded, orientation, sliding)
+        return slid_of(launch, before, after, sliding)
 
     def edge_warning(self, pose: ArrayLike) -> str:
         """Return a warning if the object is close to an edge or over it, else an empty string."""

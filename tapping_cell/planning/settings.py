@@ -27,8 +27,8 @@ from tapping_cell.planning.stopping import (
 )
 
 VARIANTS = ("retreat", "overshoot")
-LARGEST_POSITION_TOLERANCE = 0.1
-"""Maximum position tolerance of a goal, m."""
+SMALLEST_POSITION_TOLERANCE, LARGEST_POSITION_TOLERANCE = 1e-5, 0.1
+"""Minimum and maximum position tolerance of a goal, m."""
 LARGEST_ANGLE_TOLERANCE = 1.5
 """Maximum angle tolerance of a goal, rad."""
 
@@ -142,7 +142,8 @@ class PlannerSettings:
         _check_range(self, "cone_slope", 1e-3, 1e3, "rad/m")
         _check_range(self, "smallest_distance", 1e-5, 0.1, "m")
         _check_range(self, "largest_distance", 2.0 * self.smallest_distance, 2.0, "m")
-        _check_range(self, "tolerance_position", 1e-5, LARGEST_POSITION_TOLERANCE, "m")
+        smallest, largest = SMALLEST_POSITION_TOLERANCE, LARGEST_POSITION_TOLERANCE
+        _check_range(self, "tolerance_position", smallest, largest, "m")
         _check_range(self, "tolerance_angle", 1e-5, LARGEST_ANGLE_TOLERANCE, "rad")
         if self.box is not None:
             _check_range(self, "box", 0.05, 1.0, "(share of the tolerance)")

@@ -12,7 +12,7 @@ from tapping_cell.mechanics import Polygon, Sliding
 from tapping_cell.mechanics.slide_track import Launch, Poses, decay_of, launch_of
 from tapping_cell.planning.gains import Slid
 from tapping_cell.planning.interface import Array
-from tapping_cell.se2 import wrap_angle
+from tapping_cell.se2 import Pose, wrap_angle
 
 ASIDE = 0.15
 """Largest deviation of a pose from the straight line of the slide, as a share of its length, beside
@@ -72,16 +72,15 @@ def launch_from(
     )
 
 
-def slid_of(track: Track, before: ArrayLike, after: ArrayLike, sliding: Sliding) -> Slid | None:
-    """Return what the model predicts for the launch in a track (see ``launch_from``)."""
-    launch = launch_from(track, before, after, sliding)
-    if launch is None or not math.isfinite(launch.speed):
+def slid_of(launch: Launch, before: ArrayLike, after: ArrayLike, sliding: Sliding) -> Slid | None:
+    """Return what the model predicts for a launch (see ``launch_from``); None if its speed is
+    unknown."""
+    if not math.isfinite(launch.speed):
         return None
     start, end = np.asarray(before, dtype=float), np.asarray(after, dtype=float)
     spin = float(np.nan_to_num(launch.spin))
     heading = math.atan2(end[1] - start[1], end[0] - start[0]) - start[2]
-    model = sliding.approximated() if isinstance(sliding.body, Polygon) else sliding
-    rest = model.rest(float(launch.speed), spin, heading)
+    rest = _quick(sliding).rest(float(launch.speed), spin, heading)
     slope = float(rest.rotation) / float(rest.distance) if math.isfinite(launch.spin) else math.nan
     return Slid(
         np.asarray(rest.distance, dtype=float),
@@ -89,3 +88,47 @@ def slid_of(track: Track, before: ArrayLike, after: ArrayLike, sliding: Sliding)
         2.0 * launch.speed_std,
         launch.spin_std,
     )
+
+
+class Launched(NamedTuple):
+    """Launch of a tapped object, measured and modelled.
+
+    poses: number of poses of the track. speed, spin: m/s and rad/s. deceleration: mean over the
+    slide, m/s^2. deviations: standard deviations of these three. model: the same three numbers for
+    the displacement that was requested from the model. NaN if unknown.
+    """
+
+    poses: int
+    speed: float
+    spin: float
+    deceleration: float
+    deviations: tuple[float, float, float]
+    model: tuple[float, float, float]
+
+
+def launched_of(
+    launch: Launch, poses: int, commanded: Pose, orientation: float, sliding: Sliding
+) -> Launched:
+    """Compare a launch in a track of ``poses`` poses with that of the displacement ``commanded``, m
+    and rad in `table`, of an object with this orientation (rad)."""
+    model, heading = _quick(sliding), math.atan2(commanded.y, commanded.x) - orientation
+    distance = math.hypot(commanded.x, commanded.y)
+    speed, spin = model.launch(distance, commanded.theta, heading)
+    duration = model.rest(speed, spin, heading).duration
+    slowing = float(launch.speed / launch.duration)
+    return Launched(
+        poses,
+        float(launch.speed),
+        float(launch.spin),
+        slowing,
+        (
+            float(launch.speed_std * launch.speed),
+            float(math.hypot(launch.spin_std, launch.speed_std) * abs(launch.spin)),
+            float(2.0 * launch.speed_std) * slowing,
+        ),
+        (float(speed), float(spin), float(speed / duration)),
+    )
+
+
+def _quick(sliding: Sliding) -> Sliding:
+    return sliding.approximated() if isinstance(sliding.body, Polygon) else sliding

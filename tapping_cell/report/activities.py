@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from tapping_cell.report.bag import Bag
+from tapping_cell.report.recorded import Bag
 from tapping_cell.report.run import Phase
 
 TRAVELS, LOWERS, CHARGES, SLIDES, WITHDRAWS, FLIES, MEASURES, PLANS, ASKS = (

@@ -18,7 +18,7 @@ from tapping_cell.se2 import Array, Pose, transform_points
 MAX_SCENES = 6
 
 
-def write_scenes(folder: Path, trials: Sequence[ArrangementTrial]) -> list[Path]:
+def draw_scenes(folder: Path, trials: Sequence[ArrangementTrial]) -> list[Path]:
     """Draw up to ``MAX_SCENES`` scenes into ``folder``, failed scenes first; return the files."""
     folder.mkdir(parents=True, exist_ok=True)
     order = sorted(range(len(trials)), key=lambda number: trials[number].end == "done")

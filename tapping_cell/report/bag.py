@@ -15,7 +15,7 @@ import contextlib
 import os
 import struct
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -41,7 +41,9 @@ from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_
 from rosbags.typesys.base import TypesysError
 from rosbags.typesys.store import Typestore
 
+from tapping_cell.configuration.schema import ConfigurationError, read_yaml
 from tapping_cell.report.message_types import MessageTypes
+from tapping_cell.report.recorded import DEFAULT, Bag, BagError, Quality, Recorded, Topic
 
 _MAGIC = b"\x89MCAP0\r\n"
 _HEADER, _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK = 1, 2, 3, 4, 5, 6
@@ -51,40 +53,6 @@ _DAMAGED = (KeyError, struct.error, UnicodeDecodeError, ReaderError)
 """Exceptions that can occur while a damaged file is read."""
 _FOREVER = QosTime(9223372036, 854775807)
 """Value that rosbag2 writes for an infinite deadline, lifespan or lease."""
-
-
-class BagError(ValueError):
-    """Raised for a bag that cannot be read or written; the message gives reason and remedy."""
-
-
-@dataclass(frozen=True, slots=True)
-class Quality:
-    """Quality of service of a topic's publisher."""
-
-    depth: int = 10
-    reliable: bool = True
-    latched: bool = False
-
-
-DEFAULT = Quality()
-"""rclpy's default: reliable and volatile."""
-
-
-@dataclass(frozen=True, slots=True)
-class Topic:
-    """A topic of a bag. ``kind`` is its message type, such as ``geometry_msgs/msg/Pose``."""
-
-    name: str
-    kind: str
-
-
-@dataclass(frozen=True, slots=True)
-class Recorded:
-    """One message of a bag: its topic, time of reception (ns since 1970) and CDR bytes."""
-
-    topic: Topic
-    stamp: int
-    data: bytes
 
 
 class BagWriter:
@@ -196,50 +164,6 @@ class BagWriter:
         _synchronise(self.folder / f"{self.folder.name}.mcap")
 
 
-@dataclass(frozen=True, slots=True)
-class Bag:
-    """Contents of a bag. ``missing`` is a sentence about messages that were recorded but cannot be
-    read; it is empty for a complete bag."""
-
-    path: Path
-    messages: tuple[Recorded, ...]
-    missing: str
-    _store: Typestore
-
-    @property
-    def whole(self) -> bool:
-        """Whether all recorded messages could be read."""
-        return not self.missing
-
-    @property
-    def topics(self) -> tuple[Topic, ...]:
-        """Return the topics that have messages, sorted by name."""
-        return tuple(sorted({m.topic for m in self.messages}, key=lambda topic: topic.name))
-
-    def of(self, name: str) -> Iterator[tuple[int, Any]]:
-        """Yield stamps and decoded messages of a topic in any namespace.
-
-        A decoded message has the fields of its definition as attributes.
-        """
-        for message in self.messages:
-            if message.topic.name == name or message.topic.name.endswith("/" + name.lstrip("/")):
-                yield message.stamp, self.decode(message)
-
-    def decode(self, message: Recorded) -> Any:
-        """Decode a message; the result has the fields of its definition as attributes.
-
-        Raises:
-            BagError: the bytes do not match the definition.
-        """
-        try:
-            return self._store.deserialize_cdr(message.data, message.topic.kind)
-        except (SerdeError, KeyError, struct.error, ValueError, IndexError) as error:
-            topic = message.topic
-            raise BagError(
-                f"{self.path}: a message of {topic.name} is not a {topic.kind}: {error}"
-            ) from error
-
-
 def bag_file(path: Path) -> Path:
     """Return the MCAP file in a bag's folder, or ``path`` itself if it is a file.
 
@@ -251,7 +175,10 @@ def bag_file(path: Path) -> Path:
     files = sorted(path.glob("*.mcap"))
     if len(files) != 1:
         found = str(len(files)) if files else "none"
-        raise BagError(f"{path} must be an .mcap file, or a folder with exactly one; found {found}")
+        joined = "; join them with `ros2 bag convert`" if files else ""
+        raise BagError(
+            f"{path} must be an .mcap file, or a folder with exactly one; found {found}{joined}"
+        )
     return files[0]
 
 
@@ -261,6 +188,12 @@ def read_bag(path: Path) -> Bag:
     Raises:
         BagError: ``path`` is not a ROS 2 bag, or the bag is damaged before its first message.
     """
+    bag, _ = _read(path)
+    return bag
+
+
+def _read(path: Path) -> tuple[Bag, Typestore]:
+    """Return a bag and its message types; raise the exceptions of `read_bag`."""
     file = bag_file(path)
     schemas: dict[int, tuple[str, str, str]] = {}
     channels: dict[int, Topic] = {}
@@ -295,7 +228,31 @@ def read_bag(path: Path) -> Bag:
             raise BagError(f"{file} is damaged: {error}") from error
         missing = f"{file} is damaged after {len(messages)} messages: {error}"
     messages.sort(key=lambda message: message.stamp)
-    return Bag(file, tuple(messages), missing, _store_of(schemas, file))
+    missing = missing or _missing_parts(path)
+    store = _store_of(schemas, file)
+    return Bag(file, tuple(messages), missing, partial(_decode, store)), store
+
+
+def _decode(store: Typestore, data: bytes, kind: str) -> Any:
+    try:
+        return store.deserialize_cdr(data, kind)
+    except (SerdeError, KeyError, struct.error, IndexError) as error:
+        raise ValueError(str(error)) from error
+
+
+def _missing_parts(path: Path) -> str:
+    """Return a sentence if a bag's folder has fewer files than its metadata lists; empty otherwise.
+    A single file may have another name than the metadata state."""
+    try:
+        bag = read_yaml(path / "metadata.yaml")["rosbag2_bagfile_information"]
+        listed = list(bag["relative_file_paths"])
+    except (ConfigurationError, KeyError, TypeError):
+        return ""
+    found = {file.name for file in path.iterdir()}
+    lacking = [str(name) for name in listed if Path(str(name)).name not in found]
+    if len(listed) == 1 or not lacking:
+        return ""
+    return f"{path} lacks {', '.join(lacking)} of the {len(listed)} files in its metadata.yaml"
 
 
 def first_topics(file: Path) -> set[str]:
@@ -317,9 +274,8 @@ def recover(path: Path, target: Path) -> Bag:
     Raises:
         BagError: nothing can be read, or the target exists.
     """
-    bag = read_bag(path)
-    types = MessageTypes(bag._store)
-    with BagWriter(target, types, {"recovered from": str(bag.path)}) as writer:
+    bag, store = _read(path)
+    with BagWriter(target, MessageTypes(store), {"recovered from": str(bag.path)}) as writer:
         for topic in bag.topics:
             writer.add_topic(topic.name, topic.kind)
         for message in bag.messages:

@@ -57,8 +57,8 @@ def _cone(figure: Figure, tap: Tap) -> None:
         ylabel="rotation (degrees)",
         title=f"Reachable cone, {math.degrees(slope) / 1e3:.3f} degrees/mm",
     )
-    reach.set_ylim(-12, 18)
-    reach.legend(fontsize=7, loc="upper left")
+    reach.set_ylim(-12, 12)
+    reach.legend(fontsize=7, loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=2)
 
     far = np.linspace(tap.smallest_distance, 2 * _FARTHEST, _GRID)
     share = np.linspace(0.0, 0.99, _GRID)
@@ -67,11 +67,11 @@ def _cone(figure: Figure, tap: Tap) -> None:
     norms = norm(sensitivity(tap, taps).physical)
     filled = gain.contourf(1e3 * x, 100 * s, norms, levels=np.arange(0, 2.01, 0.2), cmap="viridis")
     lines = gain.contour(1e3 * x, 100 * s, norms, levels=[1.0], colors="white")
-    gain.clabel(lines, fmt="norm 1", manual=[(30.0, 60.0)])
+    gain.clabel(lines, fmt="1", fontsize=9)
     gain.set(
         xlabel="distance (mm)",
         ylabel="share of the cone's rotation (%)",
-        title="Norm of the Jacobian (mm, degrees)",
+        title="Norm of the Jacobian (white: 1)",
     )
     figure.colorbar(filled, ax=gain)
 
@@ -95,7 +95,7 @@ def _velocities(figure: Figure, tap: Tap) -> None:
     turning.set_ylabel("omega (degrees/s)")
     turning.set_ylim(bottom=0)
     left.set_ylim(bottom=0)
-    left.legend(fontsize=7)
+    left.legend(fontsize=7, loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=2)
     _ratios(right, sliding)
 
 
@@ -120,7 +120,7 @@ def _ratios(axes: Axes, sliding: Sliding) -> None:
         title="The final ratio does not depend\non the initial velocities",
     )
     axes.set_ylim(0.02, 50)
-    axes.legend(fontsize=7)
+    axes.legend(fontsize=7, loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=2)
 
 
 def _times(sliding: Sliding, speed: float, spin: float) -> NDArray[np.float64]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import astuple, dataclass, fields
 from pathlib import Path
@@ -14,12 +15,13 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from tapping_cell.durable_file import replace_text
-from tapping_cell.report.palette import GOAL, INK, PREDICTED, REST, STRIKE
+from tapping_cell.report.palette import GOAL, PREDICTED, REST
 from tapping_cell.report.photograph import data_url
 from tapping_cell.report.rendering import render
 
 PAGE, TABLE = "paper.html", "paper.csv"
 Results = Mapping[str, Mapping[str, Any]]
+_BAND: dict[str, Any] = {"color": "#f4d7d5", "lw": 0}
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,9 +45,12 @@ class Row:
     @property
     def here(self) -> str:
         """The number here and its interval as text."""
-        text = f"{self.value:.3g} {self.unit}".strip()
-        unbroken = f"({self.low:.3g}\u00a0to\u00a0{self.high:.3g})"
-        return text if self.low == self.high else f"{text} {unbroken}"
+        if self.low == self.high:
+            return f"{self.value:.3g} {self.unit}".strip()
+        # Two digits of the interval's width are significant.
+        digits = max(0, 1 - math.floor(math.log10(self.high - self.low)))
+        value, low, high = (f"{x:.{digits}f}" for x in (self.value, self.low, self.high))
+        return f"{value} {self.unit}".strip() + f" ({low}\u00a0to\u00a0{high})"
 
 
 def write_page(
@@ -81,7 +86,7 @@ def write_page(
 
 def draw_planners(results: Results, path: Path) -> None:
     """Draw the mean taps of the paper's methods for both meanings of "the goal can be reached"."""
-    figure, axis = _figure((7.5, 4.2))
+    figure, axis = _figure((5.5, 3.9))
     names = ("exact", "conservative", "multi")
     _grouped(
         axis,
@@ -95,13 +100,13 @@ def draw_planners(results: Results, path: Path) -> None:
         },
     )
     _band(axis, 4.8, 5.2, "paper: about 5 taps")
-    axis.legend(fontsize=8, loc="upper center", bbox_to_anchor=(0.5, -0.1), ncols=3)
+    axis.legend(fontsize=8, loc="upper center", bbox_to_anchor=(0.5, -0.1))
     figure.savefig(path)
 
 
 def draw_rounding(results: Results, path: Path) -> None:
     """Draw the mean taps with a rounded striker pose, in the paper's cell and in this one."""
-    figure, axis = _figure((7.5, 4.2))
+    figure, axis = _figure((5.5, 3.9))
     steps = ("none", "10 mm, 5 deg", "15 mm, 10 deg")
     _grouped(
         axis,
@@ -113,7 +118,7 @@ def draw_rounding(results: Results, path: Path) -> None:
     )
     axis.set_xlabel("rounding of the striker's pose")
     _band(axis, 5.0, 6.0, "paper: 5 to 6 taps")
-    axis.legend(fontsize=8, loc="upper center", bbox_to_anchor=(0.5, -0.18), ncols=3)
+    axis.legend(fontsize=8, loc="upper center", bbox_to_anchor=(0.5, -0.18), ncols=2)
     figure.savefig(path)
 
 
@@ -125,13 +130,13 @@ def draw_changes(steps: Sequence[tuple[str, Mapping[str, Any]]], path: Path) -> 
     means = [figures["taps"]["mean"] for _, figures in steps]
     axis.barh(places, means, color=REST, xerr=_errors([figures for _, figures in steps]))
     for place, mean, (_, figures) in zip(places, means, steps, strict=True):
-        inside = 100.0 * figures["truly_inside_rate"]
-        axis.text(mean + 0.3, place, f"{mean:.2f}; {inside:.1f} % inside", va="center", fontsize=9)
-    axis.axvspan(4.8, 5.2, color=STRIKE, alpha=0.2, lw=0, label="paper: about 5 taps")
+        text = f"{mean:.2f}; {100.0 * figures['truly_inside_rate']:.1f} % inside"
+        axis.text(0.08, place, text, va="center", fontsize=9, color="white")
+    axis.axvspan(4.8, 5.2, zorder=0, label="paper: about 5 taps", **_BAND)
     axis.set_yticks(places, [name for name, _ in steps])
     axis.invert_yaxis()
-    axis.set(xlabel="mean taps; percentage of final poses inside the tolerance", xlim=(0, 7.5))
-    axis.legend(fontsize=8, loc="lower right")
+    axis.set(xlabel="mean taps; percentage of final poses inside the tolerance", xlim=(0, 5.5))
+    axis.legend(fontsize=8, loc="lower right", bbox_to_anchor=(0.87, 0.0))
     figure.savefig(path)
 
 
@@ -182,12 +187,11 @@ def _grouped(
         )
         axis.bar_label(bars, fmt="%.2f", fontsize=8, padding=3)
     axis.set_xticks(range(len(names)), list(names))
-    axis.set(ylabel="mean taps", ylim=(0, 7))
+    axis.set(ylabel="mean taps", xlim=(-0.6, len(names) - 0.4), ylim=(0, 7))
 
 
 def _band(axis: Axes, low: float, high: float, label: str) -> None:
-    axis.axhspan(low, high, color=STRIKE, alpha=0.2, lw=0, label=label)
-    axis.axhline((low + high) / 2, color=INK, lw=0.5)
+    axis.axhspan(low, high, zorder=0, label=label, **_BAND)
 
 
 def _errors(rows: Sequence[Mapping[str, Any]]) -> list[float]:

@@ -20,7 +20,7 @@ from tapping_cell.planning.interface import Array
 from tapping_cell.planning.multi import MultiPlanner
 from tapping_cell.planning.registry import load_planner
 from tapping_cell.report.palette import REST, STRIKE
-from tapping_cell.report.tables import TRIALS, write_trials
+from tapping_cell.report.tables import TRIALS, trial_columns, write_trials
 
 FAN_RUNS = 60
 FAN_SEED = 1
@@ -103,7 +103,10 @@ def write_comparison(
     folder.mkdir(parents=True, exist_ok=True)
     replace_text(folder / "comparison.md", comparison_table(rows) + "\n")
     replace_text(folder / "comparison.json", json.dumps(rows, indent=2) + "\n")
-    write_trials(folder / TRIALS, trials)
+    write_trials(
+        folder / TRIALS,
+        [({"method": label}, trial_columns(results)) for label, results in trials.items()],
+    )
     draw_histograms(rows, folder / "planning_taps.png")
     draw_success(rows, folder / "planning_success.png")
     draw_differences(rows, folder / "planning_differences.png")

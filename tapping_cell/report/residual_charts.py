@@ -70,18 +70,21 @@ def _chart(label: str, lines: Sequence[_Line]) -> dict[str, object]:
     # With a single line, its points are labelled: all of them, or only the first and the last if
     # there are many.
     labelled = [(i, v) for i, v in points[0] if last < 8 or i in (0, last)]
+    drawn = [
+        (line.name, line.colour, [(x(i), y(v)) for i, v in known])
+        for line, known in zip(lines, points, strict=True)
+    ]
     return {
         "label": label,
+        "axis": "taps",
         "zero": y(0),
         "tolerances": [(y(line.limit), line.colour) for line in lines]
         if len(limits) > 1
         else [(y(limit), "") for limit in limits],
         "ticks": [(y(tick), tick) for tick in ticks],
         "counts": [(x(index), index) for index in range(0, last + 1, max(1, math.ceil(last / 10)))],
-        "lines": [
-            (line.name, line.colour, [(x(i), y(v)) for i, v in known])
-            for line, known in zip(lines, points, strict=True)
-        ],
+        "lines": drawn,
+        "dots": [(colour, known) for _, colour, known in drawn],
         "labels": [
             (x(i) + (4 if i else 6), y(v) - 9, "end" if i == last else "start", v)
             for i, v in (labelled if len(lines) == 1 else [])

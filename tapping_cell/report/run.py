@@ -50,6 +50,55 @@ class Learnt:
         "rotation per distance of a tap through the middle in the object's +x direction", "offset_y"
     )
     offset_y_deviation: float = _offset("its standard deviation", "offset_y_deviation")
+    impact_distance: float = _gain("factor of the impact in the distance", "impact_distance")
+    impact_distance_deviation: float = _gain("its standard deviation", "impact_distance_deviation")
+    slide_distance: float = _gain("factor of the slide in the distance", "slide_distance")
+    slide_distance_deviation: float = _gain("its standard deviation", "slide_distance_deviation")
+    impact_rotation: float = _gain("part of the impact in the rotation gain", "impact_rotation")
+    impact_rotation_deviation: float = _gain("its standard deviation", "impact_rotation_deviation")
+    slide_rotation: float = _gain("part of the slide in the rotation gain", "slide_rotation")
+    slide_rotation_deviation: float = _gain("its standard deviation", "slide_rotation_deviation")
+
+
+def _speed(meaning: str, name: str) -> Any:
+    return columns.quantity(meaning, f"launch_{name}_mm_s", 1e3, ".3f", name, math.nan)
+
+
+def _spin(meaning: str, name: str) -> Any:
+    return columns.quantity(
+        meaning, f"launch_{name}_deg_s", math.degrees(1.0), ".3f", name, math.nan
+    )
+
+
+def _deceleration(meaning: str, name: str) -> Any:
+    return columns.quantity(meaning, f"launch_{name}_mm_s2", 1e3, ".2f", name, math.nan)
+
+
+@dataclass(frozen=True, slots=True)
+class Launch:
+    """Launch of a tap in the track of its slide, and that of the model; NaN if unknown."""
+
+    poses: float = columns.quantity(
+        "number of poses of the slide; 0 if it was not seen", "launch_poses", 1.0, ".0f", "poses", 0
+    )
+    speed: float = _speed("speed at the launch", "speed")
+    speed_deviation: float = _speed("its standard deviation", "speed_deviation")
+    spin: float = _spin("spin at the launch", "spin")
+    spin_deviation: float = _spin("its standard deviation", "spin_deviation")
+    deceleration: float = _deceleration("mean deceleration of the slide", "deceleration")
+    deceleration_deviation: float = _deceleration(
+        "its standard deviation", "deceleration_deviation"
+    )
+    model_speed: float = _speed("speed at the launch in the model", "model_speed")
+    model_spin: float = _spin("spin at the launch in the model", "model_spin")
+    model_deceleration: float = _deceleration(
+        "mean deceleration in the model", "model_deceleration"
+    )
+
+    @property
+    def is_known(self) -> bool:
+        """Whether the poses of the slide determine the launch."""
+        return self.poses > 0 and math.isfinite(self.speed)
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,6 +159,7 @@ class TapRow:
         "time at which the object was at rest again", "at_rest_at_s", 1.0, ".3f", None, math.nan
     )
     learnt: Learnt = columns.part("what was learnt about the object", Learnt, "learnt")
+    launch: Launch = columns.part("launch in the track of the slide", Launch, "track")
     predicted_covariance: Covariance | None = columns.covariance(
         "covariance of the expected pose", "predicted_", "predicted_covariance"
     )

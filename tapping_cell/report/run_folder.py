@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import Any
 
 from tapping_cell.durable_file import replace_text
-from tapping_cell.report.bag import BagError
 from tapping_cell.report.columns import from_texts, headers, to_texts
+from tapping_cell.report.recorded import BagError
 from tapping_cell.report.run import (
     FAILED,
     UNFINISHED,
@@ -144,7 +144,7 @@ def write_folder(folder: Path, pictures: bool = True, source: Path | None = None
     ``source``: path of the bag; None means the bag in the folder.
 
     Raises:
-        tapping_cell.report.bag.BagError: there is no bag, or the bag has no goal.
+        tapping_cell.report.recorded.BagError: there is no bag, or the bag has no goal.
         OSError: the folder cannot be written.
     """
     bag = source or folder / BAG

@@ -8,6 +8,7 @@ from datetime import datetime
 import numpy as np
 
 from tapping_cell.report import activities, palette
+from tapping_cell.report.learnt_words import launch_words, learnt_words, object_of
 from tapping_cell.report.palette import GOAL, PREDICTED, REST, START
 from tapping_cell.report.photograph import photograph
 from tapping_cell.report.rendering import render, unbroken
@@ -19,13 +20,13 @@ from tapping_cell.report.run import (
     NOT_TRULY_REACHED,
     REFUSED,
     Learnt,
-    Picture,
     Run,
     TapRow,
 )
 from tapping_cell.report.run_reader import IllustratedRun
 from tapping_cell.report.svg import MOUNT_MM, NAME_BEHIND_MM, Plan, window
 from tapping_cell.report.tap_words import tap_sentence
+from tapping_cell.report.velocity_chart import velocity_chart
 from tapping_cell.report.words import counted, motion, remaining_error
 from tapping_cell.se2 import Array, Pose, transform_points
 
@@ -73,7 +74,7 @@ def page(illustrated: IllustratedRun) -> str:
         replay=player(run, illustrated.tracks, _replay_plan(run)),
         charts=residual_charts([run], [REST]),
         timeline=_timeline(run),
-        taps=[_tap(run, tap, pictures) for tap in run.taps],
+        taps=[_tap(run, tap, illustrated) for tap in run.taps],
         versions=[f"{name} {version}" for name, version in run.versions.items()],
     )
 
@@ -215,8 +216,8 @@ def _timeline(run: Run) -> dict[str, object] | None:
     }
 
 
-def _tap(run: Run, tap: TapRow, pictures: tuple[Picture, ...]) -> dict[str, object]:
-    before = [picture for picture in pictures if picture.at <= tap.commanded_at]
+def _tap(run: Run, tap: TapRow, illustrated: IllustratedRun) -> dict[str, object]:
+    before = [picture for picture in illustrated.pictures if picture.at <= tap.commanded_at]
     gate = (
         f", measured {1000 * tap.measured_speed:.0f} mm/s"
         if math.isfinite(tap.measured_speed)
@@ -234,6 +235,11 @@ def _tap(run: Run, tap: TapRow, pictures: tuple[Picture, ...]) -> dict[str, obje
     if math.isfinite(tap.fired_at):
         at_rest = f", at rest at {tap.at_rest_at:.1f} s" if math.isfinite(tap.at_rest_at) else ""
         rows.append(("when", f"fired at {tap.fired_at:.1f} s{at_rest}"))
+    if tap.launch.is_known:
+        rows.append(("launch", launch_words(tap.launch)))
+    if tap.learnt.slide_distance > 0.0:
+        known = object_of(run.files, tap.object_name or run.first.name)
+        rows.append(("learnt object", learnt_words(tap.learnt, known)))
     if math.isfinite(tap.learnt.distance):
         rows += [("learnt", _gains(tap.learnt)), ("learnt aiming error", _aim(tap.learnt))]
     return {
@@ -241,6 +247,7 @@ def _tap(run: Run, tap: TapRow, pictures: tuple[Picture, ...]) -> dict[str, obje
         "sentence": tap_sentence(tap, run.first.goal),
         "image": photograph(before[-1]) if before else None,
         "drawing": _close_up(run, tap),
+        "velocity": velocity_chart(tap, illustrated.tracks.get(run.first.name, [])),
         "values": rows,
     }
 

@@ -13,8 +13,8 @@ from typing import Any
 from tapping_cell import __version__
 from tapping_cell.report import error_codes
 from tapping_cell.report.activities import activities, seconds_of
-from tapping_cell.report.bag import Bag, BagError, read_bag
 from tapping_cell.report.columns import from_record
+from tapping_cell.report.recorded import NO_BAGS, Bag, BagError
 from tapping_cell.report.run import (
     CANCELED,
     FAILED,
@@ -74,8 +74,12 @@ def read_illustrated_run(path: Path, name: str = "") -> IllustratedRun:
     """Read the run in a bag, which is a folder or an ``.mcap`` file.
 
     Raises:
-        tapping_cell.report.bag.BagError: there is no bag, or it has no goal.
+        tapping_cell.report.recorded.BagError: there is no bag, or it has no goal.
     """
+    try:
+        from tapping_cell.report.bag import read_bag
+    except ModuleNotFoundError as error:
+        raise BagError(NO_BAGS) from error
     return illustrated_run(read_bag(path), name or path.stem)
 
 
@@ -83,7 +87,7 @@ def illustrated_run(bag: Bag, name: str) -> IllustratedRun:
     """Extract the run from a bag; a truncated bag gives the recorded part of the run.
 
     Raises:
-        tapping_cell.report.bag.BagError: the bag has no goal, or a damaged message type.
+        tapping_cell.report.recorded.BagError: the bag has no goal, or a damaged message type.
     """
     notes = notes_of(bag)
     try:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -11,17 +9,38 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from tapping_cell.durable_file import replace_text
+from tapping_cell.report.tables import TRIALS, write_table, write_trials
 
+SWEEP = "sweep.csv"
 Row = tuple[Mapping[str, float | str], Mapping[str, Any]]
-COLUMNS = (
-    "mean_taps",
-    "mean_low",
-    "mean_high",
-    "p90_taps",
-    "done_percent",
-    "truly_inside_percent",
-    "trials_per_second",
-)
+POINT_COLUMNS = {
+    "planner": "method",
+    "friction": "friction",
+    "tolerance": "tolerance_mm_deg",
+    "distance-scatter": "distance_scatter_percent",
+    "rotation-scatter": "rotation_scatter_percent",
+    "direction-scatter": "direction_scatter_deg",
+    "position-floor": "position_floor_mm",
+    "angle-floor": "angle_floor_deg",
+    "camera-position-noise": "camera_position_noise_mm",
+    "camera-angle-noise": "camera_angle_noise_deg",
+    "distance-bias": "distance_bias_percent",
+    "rotation-bias": "rotation_bias_percent",
+    "round-position": "round_position_mm",
+    "round-angle": "round_angle_deg",
+    "box": "box",
+}
+"""For each parameter of a sweep, its column in the tables."""
+COLUMNS = {
+    "mean_taps": "mean number of taps",
+    "mean_low": "lower end of its 95 % interval",
+    "mean_high": "upper end of its 95 % interval",
+    "p90_taps": "number of taps within which 90 % of the trials ended",
+    "done_percent": "trials that ended at the goal according to the planner, of all",
+    "truly_inside_percent": "trials in which the true pose is inside the tolerance, of those done",
+    "trials_per_second": "speed of the simulation",
+}
+"""Columns of ``sweep.csv`` and their meanings, after those of the swept parameters."""
 
 
 def sweep_numbers(figures: Mapping[str, Any]) -> dict[str, float]:
@@ -68,15 +87,19 @@ def sweep_table(rows: Sequence[Row]) -> str:
     return "\n".join(lines)
 
 
-def write_sweep(folder: Path, rows: Sequence[Row]) -> None:
-    """Write ``sweep.csv``, ``sweep.md`` and ``sweep.png``; the x axis is the first parameter."""
+def write_sweep(
+    folder: Path, rows: Sequence[Row], trials: Sequence[Mapping[str, Sequence[Any]]]
+) -> None:
+    """Write ``sweep.csv``, ``trials.csv``, ``sweep.md`` and ``sweep.png``; the x axis is the first
+    parameter. ``trials``: the ``trial_columns`` of each row."""
     names = list(rows[0][0])
-    table = io.StringIO(newline="")
-    writer = csv.writer(table)
-    writer.writerow([*names, *COLUMNS])
-    for point, figures in rows:
-        writer.writerow([*point.values(), *sweep_numbers(figures).values()])
-    replace_text(folder / "sweep.csv", table.getvalue())
+    points = [{POINT_COLUMNS[name]: value for name, value in point.items()} for point, _ in rows]
+    lines = [
+        {**point, **sweep_numbers(figures)}
+        for point, (_, figures) in zip(points, rows, strict=True)
+    ]
+    write_table(folder / SWEEP, {name: [line[name] for line in lines] for name in lines[0]})
+    write_trials(folder / TRIALS, list(zip(points, trials, strict=True)))
     replace_text(folder / "sweep.md", sweep_table(rows) + "\n")
     _plot(names, rows).savefig(folder / "sweep.png", dpi=120)
 

@@ -11,14 +11,15 @@ from typing import Any
 import numpy as np
 
 from tapping_cell.durable_file import part_of, replace_text
+from tapping_cell.planning.evaluation.arrangements import ArrangementTrial
 from tapping_cell.planning.evaluation.task import End, Results
 from tapping_cell.report.columns import declared, headers
 from tapping_cell.report.run import Run, TapRow
 from tapping_cell.report.run_comparison import row_of
 
-TRIALS, RUNS, TAPS = "trials.csv", "runs.csv", "runs_taps.csv"
+TRIALS, SCENES, RUNS, TAPS = "trials.csv", "scenes.csv", "runs.csv", "runs_taps.csv"
+METHOD = {"method": "planning method and variant"}
 TRIAL_COLUMNS = {
-    "method": "planning method and variant",
     "trial": "number of the trial; trials with the same number have the same task",
     "taps": "number of fired taps",
     "end": "`done`, `endless`, `refused_before` or `refused_later` the first tap",
@@ -27,7 +28,22 @@ TRIAL_COLUMNS = {
     "rotation_deg": "true remaining rotation",
     "seconds": "duration of the taps, s; `nan` if unknown",
 }
-"""Columns of ``trials.csv`` and their meanings."""
+"""Columns of ``trials.csv`` and their meanings, after those that tell the evaluations apart."""
+SCENE_COLUMNS = {
+    "method": "method that chooses the next object",
+    "scene": "number of the scene; scenes with the same number have the same objects and goals",
+    "objects": "number of objects",
+    "taps": "number of fired taps",
+    "lone_taps": "number of taps that the same objects need if each is alone on the table",
+    "end": "`done`, `refused_before` or `refused_later` the first tap",
+    "inside": "whether every true pose is inside its tolerance",
+    "contacts": "number of contacts between objects",
+    "tool_contacts": "number of strikes in which the tool would have touched another object",
+    "made_way": "number of moves out of the way of another object",
+    "decision_s": "processor time of the slowest decision",
+    "reason": "why the scene was refused; empty if it was done",
+}
+"""Columns of ``scenes.csv`` and their meanings."""
 RUN_COLUMNS = {
     "run": "name of the run",
     "folder": "run folder, with report, bag and images",
@@ -68,24 +84,56 @@ def write_table(path: Path, columns: Mapping[str, Sequence[Any]]) -> None:
     part_of(other).replace(other)
 
 
-def write_trials(path: Path, trials: Mapping[str, Results]) -> None:
-    """Write one row for each trial of each method."""
-    columns: dict[str, list[Any]] = {name: [] for name in TRIAL_COLUMNS}
-    for label, results in trials.items():
-        count = len(results.taps)
-        values = (
-            [label] * count,
-            range(count),
-            results.taps.tolist(),
-            [End(code).name.lower() for code in results.end.tolist()],
-            results.inside.tolist(),
-            (1e3 * results.distance).tolist(),
-            np.degrees(results.rotation).tolist(),
-            results.seconds.tolist(),
-        )
-        for column, more in zip(columns.values(), values, strict=True):
-            column.extend(more)
+def trial_columns(results: Results) -> dict[str, list[Any]]:
+    """Return the columns of ``trials.csv`` of one evaluation."""
+    values = (
+        list(range(len(results.taps))),
+        results.taps.tolist(),
+        [End(code).name.lower() for code in results.end.tolist()],
+        results.inside.tolist(),
+        (1e3 * results.distance).tolist(),
+        np.degrees(results.rotation).tolist(),
+        results.seconds.tolist(),
+    )
+    return dict(zip(TRIAL_COLUMNS, values, strict=True))
+
+
+def write_trials(
+    path: Path, evaluations: Sequence[tuple[Mapping[str, Any], Mapping[str, Sequence[Any]]]]
+) -> None:
+    """Write one row for each trial, and create the folder if missing.
+
+    ``evaluations``: for each, the columns and values that tell it apart from the others, and its
+    ``trial_columns``.
+    """
+    columns: dict[str, list[Any]] = {name: [] for name in (*evaluations[0][0], *TRIAL_COLUMNS)}
+    for apart, trials in evaluations:
+        for name, value in apart.items():
+            columns[name] += [value] * len(trials["trial"])
+        for name, values in trials.items():
+            columns[name] += values
+    path.parent.mkdir(parents=True, exist_ok=True)
     write_table(path, columns)
+
+
+def write_scenes(path: Path, scenes: Mapping[str, Sequence[ArrangementTrial]]) -> None:
+    """Write one row for each scene of each method of arranging objects."""
+    rows = [
+        (
+            *(method, number, len(scene.goals), scene.taps, scene.lone_taps),
+            *(
+                scene.end.replace(" ", "_"),
+                scene.inside,
+                scene.contacts,
+                scene.tool_contacts,
+                scene.made_way,
+            ),
+            *(scene.slowest, "" if scene.end == "done" else scene.sentence),
+        )
+        for method, trials in scenes.items()
+        for number, scene in enumerate(trials)
+    ]
+    write_table(path, _columns(list(SCENE_COLUMNS), rows))
 
 
 def write_runs(folder: Path, runs: Sequence[tuple[Run, Path]]) -> None:

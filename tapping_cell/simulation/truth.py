@@ -10,7 +10,13 @@ from dataclasses import dataclass
 from typing import Any
 
 from tapping_cell.configuration.objects import angle_floor_key, position_floor_key
-from tapping_cell.configuration.schema import choice, quantity, section, text
+from tapping_cell.configuration.schema import (
+    ConfigurationError,
+    choice,
+    quantity,
+    section,
+    text,
+)
 
 
 def ratio(what: str, low: float, high: float) -> Any:
@@ -249,6 +255,16 @@ class CameraTruth:
     exposure: float = quantity("exposure time", "s", 0.0001, 0.03, default=0.006)
     shows_arm: bool = text("whether the image shows the arm and the strikers", default=True)
     latency: float = quantity("delay from exposure to publication", "s", 0.0, 0.5, default=0.015)
+
+    def check_rate(self, rate: float) -> None:
+        """Refuse a frame rate, Hz, that no camera reaches with this exposure time. Raises
+        ConfigurationError."""
+        if self.exposure > 1.0 / rate:
+            raise ConfigurationError(
+                f"the exposure time is {1e3 * self.exposure:g} ms, longer than the "
+                f"{1e3 / rate:.1f} ms between two images at {rate:g} Hz; decrease the frame rate, "
+                "or camera.exposure in the file with the simulation parameters"
+            )
 
 
 @dataclass(frozen=True, slots=True)

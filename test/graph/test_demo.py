@@ -21,8 +21,9 @@ from tapping_cell.cli import main
 from tapping_cell.cli.graph import RECORDER, SIMULATED
 from tapping_cell.configuration.files import shared_folder
 from tapping_cell.messages import TapperState
-from tapping_cell.report.bag import BagError, read_bag
+from tapping_cell.report.bag import read_bag
 from tapping_cell.report.objects_page import moves_of
+from tapping_cell.report.recorded import BagError
 from tapping_cell.report.run_folder import read_run
 
 NODES = {*SIMULATED, RECORDER}

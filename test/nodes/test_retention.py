@@ -18,12 +18,12 @@ from tapping_cell.nodes.recorder.retention import (
     MOST_USELESS,
     NEWEST,
     REFUSALS,
-    STARRED,
     Deletion,
     Retention,
     count_runs,
     list_refusal,
 )
+from tapping_cell.nodes.recorder.run_names import STARRED
 from tapping_cell.report.bag import BagWriter
 
 

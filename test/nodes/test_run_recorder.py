@@ -11,6 +11,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -44,8 +45,10 @@ from tapping_cell.nodes.recorder.recording import CannotRecord, Recording
 from tapping_cell.nodes.recorder.retention import REFUSALS
 from tapping_cell.nodes.recorder.run_recorder import RunRecorder
 from tapping_cell.report.bag import read_bag
+from tapping_cell.report.recorded import BagError
 from tapping_cell.report.run import Run
 from tapping_cell.report.run_folder import read_run
+from tapping_cell.report.run_reader import read_illustrated_run
 from tapping_cell.se2 import Pose
 
 pytestmark = pytest.mark.alone
@@ -174,6 +177,30 @@ def test_a_goal_produces_a_folder_whose_bag_begins_before_it(tmp_path: Path) -> 
     assert (folder / "cell.png").stat().st_size > 10_000
     assert "Goal reached in 1 tap" in (folder / "report.html").read_text()
     assert "cell.yaml" in json.dumps(json.loads((folder / "summary.json").read_text())["files"])
+
+
+def test_without_rosbags_a_run_has_everything_but_its_bag(tmp_path: Path, monkeypatch) -> None:
+    runs = {}
+    for bags in (True, False):
+        if not bags:
+            for module in ("bag", "message_types"):
+                monkeypatch.setitem(sys.modules, f"tapping_cell.report.{module}", None)
+        with cell(tmp_path / str(bags), seed=3, pictures=True) as fake:
+            fake.arms.publish(fake.stamp(ArmState(state=ArmState.IDLE)))
+            fake.follow(fake.goal())
+            (runs[bags],) = fake.recorded(1)
+            folder = Path(fake.runs[0].data)
+        assert (folder / "bag").exists() == bags
+        assert "Goal reached in 1 tap" in (folder / "report.html").read_text()
+    assert runs[False].reached and len(runs[False].activities) == len(runs[True].activities) > 0
+    for kept in ("objects", "seed", "files", "planner"):
+        assert getattr(runs[False], kept) == getattr(runs[True], kept)
+    (tap,), (other,) = runs[False].taps, runs[True].taps
+    assert repr(replace(tap, at_rest_at=0.0)) == repr(
+        replace(other, at_rest_at=0.0)
+    )  # some are NaN
+    with pytest.raises(BagError, match="pip install rosbags"):
+        read_illustrated_run(folder / "bag")
 
 
 PLACES = {"disk": (Pose(0.0, 0.0, 0.0), Pose(0.02, 0.0, 0.1)), "bar": (START, Pose(0.0, 0.1, 0.0))}

@@ -51,9 +51,9 @@ OPENED_LATER: dict[str, dict[str, set[str]]] = {
     "cell_client": {"request": {f"/{name}/get_state" for name in MODULES}},
 }
 
-OPENED_WITH_TF2: dict[str, dict[str, set[str]]] = {
+OPENED_WITH_OTHER_PACKAGES: dict[str, dict[str, set[str]]] = {
     "scara_arm": {"publish": {"/tf", "/tf_static"}},
-    "camera_pose": {"publish": {"/tf", "/tf_static"}},
+    "camera_pose": {"publish": {"/tf", "/tf_static", "/detections"}},
     "tap_planner": {"subscribe": {"/tf", "/tf_static"}},
 }
 
@@ -136,7 +136,7 @@ def node_class(name: str) -> type[CellNode[Any]]:
 def test_a_node_is_granted_only_what_it_opens(name: str, own_graph: None) -> None:
     rules, later = granted()[name], OPENED_LATER.get(name, {})
     if importlib.util.find_spec("tf2_ros") is None:
-        later = {**later, **OPENED_WITH_TF2.get(name, {})}
+        later = {**later, **OPENED_WITH_OTHER_PACKAGES.get(name, {})}
     expected = {kind: names - later.get(kind, set()) for kind, names in rules.items()}
     if name == "goal":
         with GoalClient("goal") as client:

@@ -32,7 +32,7 @@ from xml.dom import minidom
 
 import numpy as np
 import PIL.Image
-from made_bags import MadeRun
+from made_bags import TYPES, MadeRun
 from rosbags.highlevel import AnyReader
 from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
@@ -46,8 +46,8 @@ from tapping_cell.configuration.schema import ConfigurationError, load
 from tapping_cell.configuration.table import load_camera_model
 from tapping_cell.configuration.yaml_document import YamlError, parse_yaml
 from tapping_cell.hardware.chain_urdf import chain_from_urdf
-from tapping_cell.report.bag import BagError, BagWriter, read_bag
-from tapping_cell.report.message_types import MessageTypes
+from tapping_cell.report.bag import BagWriter, read_bag
+from tapping_cell.report.recorded import BagError
 from tapping_cell.report.run_reader import illustrated_run
 from tapping_cell.se2 import Pose
 from tapping_cell.vision.images import ImageRefused, read_photograph
@@ -377,7 +377,7 @@ def _bag() -> bytes:
     """Return the bag of a run, in chunks of a few messages."""
     run = MadeRun([Pose(0.1, 0.02, 0.3), Pose(0.06, 0.01, 0.4), Pose(0.0302, 0.0101, 0.402)])
     made = read_bag(run.write(_folder() / "run") / "bag")
-    with BagWriter(_folder() / "bag", MessageTypes(made._store)) as bag:
+    with BagWriter(_folder() / "bag", TYPES) as bag:
         for topic in made.topics:
             bag.add_topic(topic.name, topic.kind)
         for number, message in enumerate(made.messages):

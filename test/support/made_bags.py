@@ -10,6 +10,10 @@ from typing import Any
 
 import cv2
 import numpy as np
+import pytest
+
+pytest.importorskip("rosbags", reason="rosbags is not installed; it has no Debian package")
+
 from rosbags.interfaces import Nodetype
 
 from tapping_cell.report.bag import BagWriter

@@ -160,12 +160,12 @@ def _taps_of_runs(folders: Sequence[Path], cell: Cell) -> Taps:
 
 
 def fit_all(cell: Cell, taps: Taps) -> tuple[list[MountFit], list[str]]:
-    """Fit every tapper that has enough taps. Return the fits, in the order of the cell file, and a
-    sentence about each tapper that has too few taps.
+    """Fit every tapper. Return the fits, in the order of the cell file, and a sentence about each
+    tapper whose taps are too few or contradict the cell file.
 
     Raises:
         RecordError: a tap was made by a tapper that the cell does not have.
-        CalibrationRefused: no tapper has enough taps.
+        CalibrationRefused: no tapper could be fitted.
     """
     entries = cell.fixed_tappers.tappers
     unknown = sorted(set(taps.tapper.tolist()) - {entry.name for entry in entries})
@@ -200,7 +200,8 @@ def fit_all(cell: Cell, taps: Taps) -> tuple[list[MountFit], list[str]]:
         except CalibrationRefused as refusal:
             too_few.append(str(refusal))
     if not fits:
-        raise CalibrationRefused("; ".join(too_few))
+        others = f" (and {len(too_few) - 1} more tappers)" if len(too_few) > 1 else ""
+        raise CalibrationRefused(too_few[0] + others)
     return fits, too_few
 
 

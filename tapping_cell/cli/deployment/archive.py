@@ -13,7 +13,7 @@ from typing import Any
 
 from tapping_cell.calibration.keep import now
 from tapping_cell.cli.deployment.inside import read_inside, write_inside
-from tapping_cell.cli.deployment.places import LEFT, MANIFEST, Places
+from tapping_cell.cli.deployment.places import LEFT, MANIFEST, VERSION, VERSIONS, Places
 from tapping_cell.durable_file import part_of, sync_folder
 from tapping_cell.report.versions import versions
 
@@ -23,7 +23,9 @@ LARGEST = 64_000_000
 """Largest size in bytes of an unpacked archive."""
 BEFORE = "before_restore.zip"
 """Archive of the present files that ``restore`` replaced."""
-OF_THE_COMPUTER = (MANIFEST, LEFT, BEFORE, "cell.env")
+BEFORE_UPDATE = "before_update.zip"
+"""Archive of the files as they were before the last change of the version."""
+OF_THE_COMPUTER = (MANIFEST, LEFT, BEFORE, BEFORE_UPDATE, "cell.env", VERSION)
 """Files of the configuration that belong to the computer, and are written by ``deploy``."""
 NAMED_GOALS = "named_goals.json"
 
@@ -47,10 +49,14 @@ def collected(places: Places) -> dict[str, bytes]:
     ):
         for file in sorted(root.rglob(pattern)):
             inside = file.relative_to(root).as_posix()
-            data = None if inside in OF_THE_COMPUTER else read_inside(file, base)
+            data = None if _of_the_computer(inside) else read_inside(file, base)
             if data is not None and _is_text(data):
                 found[f"{folder}/{inside}"] = data
     return found
+
+
+def _of_the_computer(inside: str) -> bool:
+    return inside in OF_THE_COMPUTER or inside.startswith(f"{VERSIONS}/")
 
 
 def _is_text(data: bytes) -> bool:
@@ -96,11 +102,16 @@ def write_archive(path: Path, places: Places) -> int:
 
 def up_options(places: Places) -> str:
     """Return the options with which the service calls ``up``; empty if they are unknown."""
+    return environment_of(places, "cell.env").get("CELL_OPTIONS", "")
+
+
+def environment_of(places: Places, file: str) -> dict[str, str]:
+    """Return the variables in an environment file of the service; empty if it cannot be read."""
     try:
-        lines = (places.configuration / "cell.env").read_text(encoding="utf-8").splitlines()
+        lines = (places.configuration / file).read_text(encoding="utf-8").splitlines()
     except (OSError, ValueError):
-        return ""
-    return next((line[13:] for line in lines if line.startswith("CELL_OPTIONS=")), "")
+        return {}
+    return dict(line.split("=", 1) for line in lines if "=" in line and not line.startswith("#"))
 
 
 def read_archive(path: Path) -> tuple[dict[str, Any], dict[str, str]]:
@@ -160,7 +171,7 @@ def _is_allowed(name: str) -> bool:
         name != str(plain)
         or plain.is_absolute()
         or not inside
-        or "/".join(parts[1:]) in OF_THE_COMPUTER
+        or _of_the_computer("/".join(parts[1:]))
     ):
         return False
     return parts[0] in ("configuration", "gains") or (

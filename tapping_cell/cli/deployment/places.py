@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,6 +11,10 @@ from typing import Any
 
 DEFAULT_NAME = "tapping_cell"
 MANIFEST = "deployed.json"
+VERSION = "version.env"
+"""Link to the environment of the version that the service runs."""
+VERSIONS = "versions"
+"""Folder with the environment of each version."""
 LEFT = "undeployed.json"
 """List of what ``undeploy`` left, so that the cell can be deployed again."""
 
@@ -25,6 +30,13 @@ class Places:
     def configuration(self) -> Path:
         """Cell file, object files, calibrations, and the environment of the service."""
         return self.root / "etc" / self.name
+
+    @property
+    def version(self) -> str:
+        """Return the target of the link to the version that the service runs; empty if there is
+        none."""
+        link = self.configuration / VERSION
+        return os.readlink(link) if link.is_symlink() else ""
 
     @property
     def state(self) -> Path:

@@ -14,20 +14,23 @@ from pathlib import Path
 
 from tapping_cell.cli.deployment.places import Places
 
-KEPT_VARIABLES = (
+OF_THE_VERSION = (
     "LD_LIBRARY_PATH",
     "PYTHONPATH",
     "AMENT_PREFIX_PATH",
     "ROS_DISTRO",
     "ROS_VERSION",
     "ROS_PYTHON_VERSION",
+    "_ROS_WHEELS_BOOTSTRAP_COMPLETE",
+)
+"""Variables of the shell that select the version of the package and of ROS."""
+OF_THE_CELL = (
     "RMW_IMPLEMENTATION",
     "ROS_SECURITY_ENABLE",
     "ROS_SECURITY_STRATEGY",
     "ROS_SECURITY_KEYSTORE",
-    "_ROS_WHEELS_BOOTSTRAP_COMPLETE",
 )
-"""Variables of the shell in which ``deploy`` is called that the service needs too."""
+"""Other variables of the shell in which ``deploy`` is called that the service needs too."""
 
 UNIT = """\
 # Written by: python -m tapping_cell deploy. Change it with: systemctl edit {unit}
@@ -42,13 +45,14 @@ Type=notify
 User={name}
 Group={name}
 EnvironmentFile={configuration}/cell.env
+EnvironmentFile={configuration}/version.env
 WorkingDirectory={state}
 StateDirectory={name}
 StateDirectoryMode=0750
 LogsDirectory={name}
 LogsDirectoryMode=0750
 UMask=0027
-ExecStart={python} -m tapping_cell up $CELL_OPTIONS
+ExecStart=/usr/bin/env python3 -m tapping_cell up $CELL_OPTIONS
 
 # `up` restarts its nodes. systemd restarts `up`: after a crash, if a required node is lost, and if
 # the loop of `up` does not run for 30 s. The arm is never homed by this, and a stored stop stays.
@@ -62,6 +66,8 @@ OOMPolicy=continue
 MemoryHigh=60%
 MemoryMax=80%
 CPUWeight=500
+# `up` gives all nodes but the drivers of arm and tapper the usual priority.
+Nice=-10
 CPUQuota={quota}%
 TasksMax=1024
 LimitCORE=0
@@ -125,7 +131,6 @@ def unit_text(places: Places, *, hardware: bool, network: bool, links: tuple[str
         order="\n".join(order),
         configuration=f"/etc/{places.name}",
         state=f"/var/lib/{places.name}",
-        python=sys.executable,
         # Another process always finds a quarter of a processor: a login, or `systemctl stop`.
         quota=100 * (os.cpu_count() or 1) - 25,
         # A list of allowed kinds of devices would exclude those whose kernel module is loaded after
@@ -147,7 +152,7 @@ def environment_text(
     places: Places, options: str, domain: int, discovery: str, shell: Mapping[str, str]
 ) -> str:
     """Return the environment file of the service, with the options of ``up``."""
-    kept = {key: shell[key] for key in KEPT_VARIABLES if shell.get(key)}
+    kept = {key: shell[key] for key in OF_THE_CELL if shell.get(key)}
     values = {
         "ROS_DOMAIN_ID": str(domain),
         "ROS_AUTOMATIC_DISCOVERY_RANGE": discovery,
@@ -155,12 +160,22 @@ def environment_text(
         "HOME": f"/var/lib/{places.name}",
         # The nodes' output is in /var/log already; the copies that rcl writes end with the service.
         "ROS_LOG_DIR": "/tmp/ros",
-        "PATH": f"{Path(sys.executable).parent}:/usr/local/bin:/usr/bin:/bin",
         "PYTHONUNBUFFERED": "1",
         **kept,
     }
     head = f"# Environment of {places.unit}; after a change: systemctl restart {places.name}\n"
-    return head + "".join(f"{key}={value}\n" for key, value in values.items())
+    return head + _lines(values)
+
+
+def version_text(shell: Mapping[str, str]) -> str:
+    """Return the environment file that makes the service run this version."""
+    values = {key: shell[key] for key in OF_THE_VERSION if shell.get(key)}
+    values["PATH"] = f"{Path(sys.executable).parent}:/usr/local/bin:/usr/bin:/bin"
+    return _lines(values)
+
+
+def _lines(values: Mapping[str, str]) -> str:
+    return "".join(f"{key}={value}\n" for key, value in values.items())
 
 
 def user_text(places: Places) -> str:

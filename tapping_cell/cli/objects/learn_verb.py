@@ -90,7 +90,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the verb. Return 0 on success, 1 if the goals failed, 2 for unusable runs or files."""
     # Imported here, because the modules of the fit import much of SciPy. This import takes a second
     # and would delay the help text.
-    from tapping_cell.calibration.learnt_object import learn_object, learning_record
+    from tapping_cell.calibration.learnt_object import EQUIVALENT, learn_object, learning_record
     from tapping_cell.calibration.object_file import object_yaml
 
     try:
@@ -118,6 +118,7 @@ def run(arguments: argparse.Namespace) -> int:
     print(f"{learnt.used} taps, {learnt.left_out} left out")
     for entry in learnt.estimates:
         print(_line(entry))
+    print(EQUIVALENT)
     if output is not None:
         print(f"wrote {arguments.output}; check it with  python -m tapping_cell check-config")
     return 0

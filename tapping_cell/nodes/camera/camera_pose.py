@@ -34,6 +34,7 @@ from tapping_cell.logic.poses import covariance_to_message
 from tapping_cell.nodes.camera import images
 from tapping_cell.nodes.camera.annotated_images import AnnotatedImages
 from tapping_cell.nodes.camera.arm_view import ArmView
+from tapping_cell.nodes.camera.detections import DetectionPublisher
 from tapping_cell.nodes.camera.dropped_frames import Backlog
 from tapping_cell.nodes.camera.pose_messages import camera_to_message
 from tapping_cell.nodes.camera.unknown_search import UnknownSearch
@@ -177,6 +178,7 @@ class CameraPose(CellNode[Parameters]):
         self._state_publisher = self.create_publisher(ObjectState, "object_state", LATCHED)
         self._others_publisher = self.create_publisher(ObjectState, "other_objects", 10)
         self._states_publisher = self.create_publisher(ObjectStates, "object_states", LATCHED)
+        self._detections = DetectionPublisher(self)
         self._camera_publisher = self.create_publisher(PoseStamped, "camera/pose", LATCHED)
         self._annotated = AnnotatedImages(
             self,
@@ -431,6 +433,7 @@ class CameraPose(CellNode[Parameters]):
         if self._unknown is not None:
             self._unknown.enter(states)
         self._states_publisher.publish(states)
+        self._detections.publish(states, (self._cell_object, *self._other_files))
 
     def _publish(self, picture: Image, observation: Observation) -> None:
         assert self._cell is not None

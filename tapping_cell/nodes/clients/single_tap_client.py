@@ -33,7 +33,8 @@ from tapping_cell.nodes.cell_node import COMMAND, LATCHED
 from tapping_cell.nodes.clients.goal_client import GoalClient
 from tapping_cell.nodes.conversions import from_message, seconds
 from tapping_cell.nodes.recorder.recording import ReceivedMessage
-from tapping_cell.report.bag import BagWriter, Quality
+from tapping_cell.report.bag import BagWriter
+from tapping_cell.report.recorded import Quality
 from tapping_cell.se2 import Pose
 
 BEFORE_S = 1.0

@@ -7,13 +7,17 @@ this machine (DNS rebinding) is detected because that name does not belong to th
 
 from __future__ import annotations
 
+import contextlib
 import hmac
 import ipaddress
 import secrets
 import socket
 from collections.abc import Iterable
 from dataclasses import dataclass
+from pathlib import Path
 from urllib.parse import SplitResult, quote, urlsplit
+
+from tapping_cell.durable_file import part_of, replace_text
 
 LOOPBACK_NAMES = ("localhost", "127.0.0.1", "::1")
 
@@ -35,6 +39,24 @@ def _parsed(address: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | Non
 def make_token() -> str:
     """Return a new token of 128 random bits that is valid in a URL."""
     return secrets.token_urlsafe(16)
+
+
+def kept_token(file: Path) -> str:
+    """Return the token in a file, so that a bookmark of the page survives a restart. A missing or
+    empty file gets a new token. Only its owner may read the file.
+
+    Raises:
+        OSError: the file cannot be read or written.
+    """
+    with contextlib.suppress(FileNotFoundError):
+        if token := file.read_text(encoding="ascii", errors="replace").strip():
+            return token
+    file.parent.mkdir(parents=True, exist_ok=True)
+    part_of(file).unlink(missing_ok=True)
+    part_of(file).touch(0o600)
+    token = make_token()
+    replace_text(file, token + "\n")
+    return token
 
 
 @dataclass(frozen=True, slots=True)

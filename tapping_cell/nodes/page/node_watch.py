@@ -51,6 +51,7 @@ class _Peer:
     life: str = ""
     level: str = ""
     sentence: str = ""
+    firmware: str = ""
     received_at: float = 0.0
 
 
@@ -114,7 +115,8 @@ class NodeWatch:
             name = self._own_name(status.name)
             if name:
                 peer = self._peers.setdefault(name, _Peer())
-                peer.role = _role(status)
+                peer.role = _value(status, ROLE)
+                peer.firmware = _value(status, "firmware")
                 peer.level = LEVELS.get(status.level, "error")
                 peer.sentence, peer.received_at = status.message, time.monotonic()
 
@@ -150,8 +152,8 @@ class NodeWatch:
         return measuring or any(self.name_of(role) in self._peers for role in CAMERAS)
 
     def rows(self) -> list[dict[str, str]]:
-        """Return one row per node: name, role, life-cycle state, level (ok, warn, error) and
-        message."""
+        """Return one row per node: name, role, life-cycle state, level (ok, warn, error), message
+        and, for a driver that is connected, the firmware of its device."""
         cameras = [role for role in CAMERAS if self.name_of(role) in self._peers]
         if not self.has_camera:
             cameras = [CAMERAS[-1]]
@@ -167,9 +169,11 @@ class NodeWatch:
         if time.monotonic() - peer.received_at > SILENCE_LIMIT_S:
             silent = NOT_YET if not peer.received_at else "has stopped sending"
             return {**row, "level": "warn", "sentence": silent}
+        if peer.firmware:
+            row["firmware"] = peer.firmware
         return {**row, "level": peer.level, "sentence": peer.sentence}
 
 
-def _role(status: DiagnosticStatus) -> str:
-    """Return the role in a node's diagnostics; empty if the node is not one of the cell's."""
-    return next((str(entry.value) for entry in status.values if entry.key == ROLE), "")
+def _value(status: DiagnosticStatus, key: str) -> str:
+    """Return a value in a node's diagnostics; empty if there is none."""
+    return next((str(entry.value) for entry in status.values if entry.key == key), "")

@@ -7,6 +7,7 @@ open, this node subscribes to little more than the planner's states.
 
 from __future__ import annotations
 
+import contextlib
 import math
 import socket
 import sys
@@ -56,6 +57,7 @@ from tapping_cell.nodes.page.requests import (
     Drafts,
     ForgetGoal,
     Jog,
+    KeepRun,
     Move,
     NameGoal,
     Place,
@@ -106,7 +108,7 @@ class Parameters(ObjectParameters):
         "TCP port of the page's STOP; 0 for any free port", "", 0, 65535, default=9010
     )
     token: str = text(
-        "token that a browser must present; if empty, the node generates one, provided that "
+        "token that a browser must present; if empty, the node generates one once, provided that "
         "`address` makes the page reachable from the network",
         default="",
     )
@@ -191,7 +193,12 @@ class OperatorPage(CellNode[Parameters]):
     def activate(self) -> None:
         """Open the ports and log the address of the page."""
         address = self.settings.address
-        rules = guard.Guard.make(address, self.settings.host_names.split(","), self.settings.token)
+        token = self.settings.token
+        if not token and not guard.is_loopback(address):
+            # Without a disk, the token is that of this start.
+            with contextlib.suppress(OSError):
+                token = guard.kept_token(state_folder(key_of(self)) / "page_token")
+        rules = guard.Guard.make(address, self.settings.host_names.split(","), token)
         sockets = self._bind("port", self.settings.port)
         page_port = sockets[0].getsockname()[1]
         try:
@@ -432,6 +439,8 @@ class OperatorPage(CellNode[Parameters]):
             case SetPlanner(planner):
                 text = f"planning method {planner} from the next goal on"
                 self._set_parameter("planner", planner, text, who, answer)
+            case KeepRun():
+                self._keep_run(request, answer)
             case QueueGoal() | Unqueue() | NameGoal() | ForgetGoal():
                 self._change_lists(request, answer)
             case Jog(axis, step):
@@ -509,6 +518,19 @@ class OperatorPage(CellNode[Parameters]):
             answer(answer_to("queue", False, str(error)))
             return
         answer(answer_to("queue", True, text))
+
+    def _keep_run(self, request: KeepRun, answer: server.Answer) -> None:
+        """Keep a run from deletion, or no longer."""
+        try:
+            found = self.runs.keep(request.run, request.keep)
+        except OSError as error:
+            text = f"the run cannot be marked: {error.strerror}"
+            answer(answer_to("keep_run", False, text))
+            return
+        kept = "is never deleted" if request.keep else "may be deleted"
+        text = f"{request.run} {kept}" if found else f"there is no run '{request.run}'"
+        answer(answer_to("keep_run", found, text))
+        self._list_runs()
 
     def _run_queue(self, who: str, answer: server.Answer) -> None:
         self._queue.run()

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from tapping_cell.logic import jogging
+from tapping_cell.nodes.recorder.run_names import LONGEST_NAME as LONGEST_RUN
 from tapping_cell.se2 import Pose
 
 LARGEST_MESSAGE = 4096
@@ -161,6 +162,14 @@ class SetPlanner:
 
 
 @dataclass(frozen=True, slots=True)
+class KeepRun:
+    """Set whether a run is never deleted."""
+
+    run: str
+    keep: bool
+
+
+@dataclass(frozen=True, slots=True)
 class Jog:
     """Move the arm by a step (m or rad) along an axis of ``jogging.AXES``."""
 
@@ -191,6 +200,7 @@ Request = (
     | Confirm
     | SetAsk
     | SetPlanner
+    | KeepRun
     | Jog
     | Command
 )
@@ -285,12 +295,12 @@ def _tolerance(content: Content) -> tuple[float, float]:
     return 1e-3 * position, math.radians(angle)
 
 
-def _name(content: Content, name: str) -> str:
+def _name(content: Content, name: str, longest: int = LONGEST_NAME) -> str:
     value = content.get(name)
     shown = value.strip() if isinstance(value, str) else ""
-    if not shown or len(shown) > LONGEST_NAME or not shown.isprintable():
+    if not shown or len(shown) > longest or not shown.isprintable():
         raise BadRequest(
-            f"{name} is {_shown(value)}; 1 to {LONGEST_NAME} printable characters are expected"
+            f"{name} is {_shown(value)}; 1 to {longest} printable characters are expected"
         )
     return shown
 
@@ -364,6 +374,7 @@ PARSERS: dict[str, Callable[[Content], Request]] = {
     "confirm": lambda c: Confirm(_whole(c, "tap_id"), _truth(c, "confirm")),
     "set_ask": lambda c: SetAsk(_truth(c, "ask")),
     "set_planner": lambda c: SetPlanner(_name(c, "planner")),
+    "keep_run": lambda c: KeepRun(_name(c, "run", LONGEST_RUN), _truth(c, "keep")),
     "jog": _jog,
 }
 KINDS = (*PARSERS, *COMMANDS)

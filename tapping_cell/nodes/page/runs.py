@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from urllib.parse import quote
 
-from tapping_cell.nodes.recorder.run_names import is_run_name
+from tapping_cell.nodes.recorder.run_names import STARRED, is_run_name
 from tapping_cell.report.run_comparison import comparison_page
 from tapping_cell.report.run_folder import TAPS, RunError, read_run
 
@@ -46,7 +46,7 @@ class Runs:
 
     def rows(self) -> list[dict[str, object]]:
         """Return the latest runs, newest first: name, time, outcome, goal, objects, taps, residual,
-        error, report.
+        error, report, kept (it is never deleted).
 
         Times are in s, poses are [mm, mm, degrees] and residuals [mm, degrees]; unknown values are
         None. ``objects``: number of objects with a goal; ``goal`` is None if there are several.
@@ -55,9 +55,11 @@ class Runs:
         for name, changed in self._summaries():
             if name not in self._rows or self._rows[name][0] != changed:
                 self._rows[name] = (changed, self._row(name))
-            found.append({**self._rows[name][1], "report": self.report(name) is not None})
-        kept = {str(row["name"]) for row in found}
-        self._rows = {name: row for name, row in self._rows.items() if name in kept}
+            kept = (self.folder / name / STARRED).exists()
+            report = self.report(name) is not None
+            found.append({**self._rows[name][1], "report": report, "kept": kept})
+        listed = {str(row["name"]) for row in found}
+        self._rows = {name: row for name, row in self._rows.items() if name in listed}
         return found
 
     def find(self, name: str) -> Path | None:
@@ -76,6 +78,21 @@ class Runs:
         run = self.find(name)
         report = run / REPORT if run is not None else None
         return report if report and report.is_file() and not report.is_symlink() else None
+
+    def keep(self, name: str, keep: bool) -> bool:
+        """Set whether a run is never deleted. Return False if there is no such run.
+
+        Raises:
+            OSError: the folder cannot be written.
+        """
+        run = self.find(name)
+        if run is None:
+            return False
+        if keep:
+            (run / STARRED).touch()
+        else:
+            (run / STARRED).unlink(missing_ok=True)
+        return True
 
     def comparison(self, names: Sequence[str]) -> str:
         """Return the page that compares these runs.

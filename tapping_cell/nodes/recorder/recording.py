@@ -5,24 +5,30 @@ from __future__ import annotations
 import contextlib
 import math
 import re
-import shutil
 from collections.abc import Iterable
 from dataclasses import dataclass
 from datetime import datetime
+from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from rclpy.serialization import deserialize_message
 from tapping_cell_msgs.msg import ArrangementState, GoalReport, PlanState
 
 from tapping_cell.configuration.cell import Cell, cells_of
 from tapping_cell.logic.planner_states import WORKING_STATES
+from tapping_cell.nodes.computer import disk_space
 from tapping_cell.nodes.recorder.retention import count_runs
 from tapping_cell.planning.prescribed import METHOD as PRESCRIBED
-from tapping_cell.report.bag import BagError, BagWriter, Quality
 from tapping_cell.report.message_files import UnknownMessageType
-from tapping_cell.report.message_types import MessageTypes
-from tapping_cell.report.run_folder import write_folder
+from tapping_cell.report.recorded import Bag, BagError, Quality, Recorded, Topic
+from tapping_cell.report.run_folder import write_folder, write_illustrated_run
+from tapping_cell.report.run_reader import illustrated_run
 from tapping_cell.report.versions import versions
+
+if TYPE_CHECKING:
+    from tapping_cell.report.bag import BagWriter
+    from tapping_cell.report.message_types import MessageTypes
 
 BAG = "bag"
 MEGABYTE = 1_000_000
@@ -100,7 +106,7 @@ def check_disk_space(folder: Path, least_free: float) -> None:
         CannotRecord: the free space is too small.
         OSError: the disk is not available.
     """
-    free = shutil.disk_usage(folder).free
+    free = disk_space(folder)[0]
     if free < least_free:
         raise CannotRecord(
             f"the disk of {folder} has only {free / MEGABYTE:.0f} MB free, but "
@@ -170,20 +176,25 @@ def cell_notes(cell: Cell | None, seed: int) -> dict[str, Any]:
 
 
 class Recording:
-    """Run folder with an open bag. Every method is called from the recorder's own thread."""
+    """Run folder with an open bag, or without rosbags, with the messages in memory. Every method is
+    called from the recorder's own thread."""
 
     def __init__(
-        self,
-        folder: Path,
-        topics: dict[str, RecordedTopic],
-        types: MessageTypes,
+        self, folder: Path, topics: dict[str, RecordedTopic], types: MessageTypes | None
     ) -> None:
-        """Open a bag for these topics, given by resolved name.
+        """Open a bag for these topics, given by resolved name; ``types`` is None without rosbags.
 
         Raises:
             CannotRecord: the bag cannot be created.
         """
         self.folder = folder
+        self._topics = {name: Topic(name, topic.kind) for name, topic in topics.items()}
+        self._kept: list[Recorded] = []
+        self._bag: BagWriter | None = None
+        if types is None:
+            return
+        from tapping_cell.report.bag import BagWriter
+
         try:
             self._bag = BagWriter(folder / BAG, types, {"run": folder.name})
             for name, topic in topics.items():
@@ -199,6 +210,9 @@ class Recording:
         Raises:
             OSError: the disk is full or not available.
         """
+        if self._bag is None:
+            self._kept += [Recorded(self._topics[m.topic], m.stamp, m.data) for m in messages]
+            return
         for message in messages:
             self._bag.write(message.topic, message.stamp, message.data)
         self._bag.flush()
@@ -209,16 +223,30 @@ class Recording:
         Raises:
             OSError: the disk is full or not available.
         """
-        self._bag.close()
+        if self._bag is not None:
+            self._bag.close()
 
     def write_report(self, pictures: bool) -> None:
-        """Write the summary and the taps from the bag and, if ``pictures`` is set, the image and
-        the page.
+        """Write the summary and the taps from the messages and, if ``pictures`` is set, the image
+        and the page.
 
         Raises:
-            BagError, OSError: the bag contains no run, or the files cannot be written.
+            BagError, OSError: the messages contain no run, or the files cannot be written.
         """
-        write_folder(self.folder, pictures=pictures)
+        if self._bag is not None:
+            write_folder(self.folder, pictures=pictures)
+            return
+        bag = Bag(self.folder, tuple(self._kept), "", _decode)
+        write_illustrated_run(self.folder, illustrated_run(bag, self.folder.name), pictures)
+
+
+def _decode(data: bytes, kind: str) -> Any:
+    """Return a message; raise ValueError if the bytes do not match its type."""
+    package, _, name = kind.split("/")
+    try:
+        return deserialize_message(data, getattr(import_module(f"{package}.msg"), name))
+    except RuntimeError as error:
+        raise ValueError(str(error)) from error
 
 
 def is_own_goal(plan: PlanState) -> bool:

@@ -11,12 +11,10 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from tapping_cell.nodes.recorder.run_names import is_run_name
-from tapping_cell.report.bag import first_topics
+from tapping_cell.nodes.computer import disk_space
+from tapping_cell.nodes.recorder.run_names import STARRED, is_run_name
 from tapping_cell.report.run_reader import NOTES
 
-STARRED = "starred"
-"""A run folder with a file of this name is never deleted."""
 NEWEST = 10
 """Number of the newest runs that are never deleted."""
 MOST_DELETED = 20
@@ -83,7 +81,7 @@ class Retention:
         done = Deletion()
         if not self.deletes or not parent.is_dir():
             return done
-        free = free or free_share
+        free = free or (lambda folder: disk_space(folder)[1])
         for rest in parent.glob(_DELETED + "*"):
             done.remove(rest)
         runs = sorted(_runs(parent), reverse=True)
@@ -119,12 +117,6 @@ class Retention:
         return done
 
 
-def free_share(folder: Path) -> float:
-    """Return the free share of the disk of a folder. Raises OSError."""
-    usage = shutil.disk_usage(folder)
-    return usage.free / usage.total
-
-
 def count_runs(parent: Path) -> int:
     """Return the number of runs in a folder. Raises OSError."""
     return sum(1 for _ in _runs(parent))
@@ -148,8 +140,17 @@ def _runs(parent: Path) -> Iterator[tuple[float, Path, bool]]:
                 if all(f'"{key}": ' in start for key in ("outcome", "began")):
                     reached = '"outcome": "reached"' in start
                     yield summary.stat(follow_symlinks=False).st_mtime, folder, reached
-                elif any(name.endswith(f"/{NOTES}") for name in first_topics(folder / BAG_FILE)):
+                elif _is_recorded(folder / BAG_FILE):
                     yield entry.stat(follow_symlinks=False).st_mtime, folder, False
+
+
+def _is_recorded(file: Path) -> bool:
+    """Return whether a file is a bag of the recorder; without rosbags, no file counts as one."""
+    with contextlib.suppress(ModuleNotFoundError):
+        from tapping_cell.report.bag import first_topics
+
+        return any(name.endswith(f"/{NOTES}") for name in first_topics(file))
+    return False
 
 
 def list_refusal(parent: Path, entry: dict[str, object]) -> None:

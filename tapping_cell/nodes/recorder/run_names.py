@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+STARRED = "starred"
+"""A run folder with a file of this name is never deleted."""
 LONGEST_NAME = 120
 """Maximum length in bytes of UTF-8. This limit is well below the 255 bytes that file systems allow,
 because the recorder appends a number if the name is taken."""

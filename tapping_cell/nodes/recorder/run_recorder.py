@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from math import inf, isfinite
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
@@ -67,9 +67,11 @@ from tapping_cell.nodes.recorder.recording import (
 from tapping_cell.nodes.recorder.retention import Retention, list_refusal
 from tapping_cell.nodes.recorder.run_names import LONGEST_NAME, is_run_name
 from tapping_cell.nodes.worker import Worker
-from tapping_cell.report.bag import BagError, Quality
-from tapping_cell.report.message_types import MessageTypes
+from tapping_cell.report.recorded import NO_BAGS, BagError, Quality
 from tapping_cell.report.run_reader import NOTES, PICTURES
+
+if TYPE_CHECKING:
+    from tapping_cell.report.message_types import MessageTypes
 
 LEAD_S = 2.0
 """Time by which the start of a bag precedes its goal."""
@@ -251,7 +253,7 @@ class RunRecorder(CellNode[Parameters]):
         """Monotonic time until which no run is deleted for free space."""
         self._worker: Worker | None = None
         self._reporter: Worker | None = None
-        self._types = MessageTypes()
+        self._types: MessageTypes | None = None
         self._last_run = self.create_publisher(String, "last_run", LATCHED)
         self._topics: dict[str, RecordedTopic] = {}
         self._kinds: dict[str, type] = {}
@@ -307,6 +309,12 @@ class RunRecorder(CellNode[Parameters]):
         self._reporter = Worker("teller")
         self._reporter.start()
         self._delete_later()
+        try:
+            from tapping_cell.report.message_types import MessageTypes
+        except ModuleNotFoundError:
+            self.get_logger().warning(f"runs are recorded without bags: {NO_BAGS}")
+            return
+        self._types = MessageTypes()
         for topic in self._topics.values():
             # The definition is loaded here in advance, so that it does not delay the first messages
             # of a goal.

@@ -117,6 +117,7 @@ class SimWorld(CellNode[Parameters]):
         cell = settings.load_cell()
         refuse_own_drivers(cell)
         truth = load(TruthFile, settings.truth_file or shared_folder() / "truth" / "default.yaml")
+        truth.camera.check_rate(settings.frame_rate)
         further = load_further_objects(cell, settings.other_object_files)
         table = cell.file.table
         try:

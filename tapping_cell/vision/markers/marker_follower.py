@@ -148,13 +148,20 @@ class MarkerFollower(ObjectFollower):
 
     def _explain(self, search: Search, found: Detections) -> Failure | None:
         """Diagnose why the object's marker was not found."""
-        if self.marker.id in search.mirrored(self.marker.dictionary).single:
+        expected = search.expected_ids.get(self.marker.dictionary, frozenset())
+        mirrored = set(search.mirrored(self.marker.dictionary).single)
+        if self.marker.id in mirrored:
             return (
                 Problem.MIRRORED_MARKER,
                 f"marker {self.marker.id} is seen mirrored; turn off mirroring or print "
                 "the marker again",
             )
-        expected = search.expected_ids.get(self.marker.dictionary, frozenset())
+        if len(mirrored & expected) > 1:
+            return (
+                Problem.MIRRORED_MARKER,
+                f"the markers {', '.join(map(str, sorted(mirrored & expected)))} are seen "
+                "mirrored; turn off mirroring in the camera",
+            )
         others = sorted(set(found.single) - expected - self._other_ids - {self.marker.id})
         if others:
             return (

@@ -16,10 +16,18 @@ def table_refusal(
     """
     s = table.settings
     if state is TableState.UNKNOWN:
+        if table.measured >= s.least_references:
+            return (
+                Problem.TABLE_UNKNOWN,
+                f"{table.measured} reference markers are seen, but no camera above the table can "
+                "see them like this; check x and y in the table file (exchanged coordinates or a "
+                "wrong sign mirror the table)",
+            )
         return (
             Problem.TABLE_UNKNOWN,
             f"fewer than {s.least_references} of the reference markers {table.ids.tolist()} are "
-            "seen; uncover them or check the table file",
+            "seen; uncover them, check ids and dictionary in the table file, and turn off "
+            "mirroring in the camera",
         )
     if state is TableState.CONTRADICTED:
         return Problem.TABLE_CONTRADICTED, _contradiction(table)

@@ -69,6 +69,8 @@ class TableTracker:
         self.covariance: Array = np.zeros((6, 6))
         self.used: tuple[int, ...] = ()
         self.displaced: tuple[int, ...] = ()
+        self.measured = 0
+        """Number of reference markers that were measured in the last frame."""
         self.error = 0.0
         self.bloom = 0.0
         self.side_error = 0.0
@@ -97,6 +99,7 @@ class TableTracker:
         ``rows`` (M,) are the rows of the markers in the map. All ``edges`` must be good.
         """
         s = self.settings
+        self.measured = len(rows)
         if len(rows) < s.least_references:
             return TableState.UNKNOWN if self.pose is None else TableState.UNSEEN
         rays = reference_rays(self.camera, edges)

@@ -164,6 +164,26 @@ def test_the_verb_reads_the_taps_of_goals_from_run_folders(tmp_path: Path, capsy
     assert "teapot" in capsys.readouterr().err
 
 
+def test_taps_that_contradict_the_cell_file_are_refused(tmp_path: Path, capsys) -> None:
+    """Poses before and after the tap are exchanged, or another tapper made the taps."""
+    rng = np.random.default_rng(8)
+    entry, other = CELL.fixed_tappers.tappers[:2]
+    true = Pose(*entry.position, entry.direction)
+    for name, exchanged, words in (
+        (entry.name, True, "taps moved the object towards the tapper"),
+        (other.name, False, "check that this tapper made them"),
+    ):
+        speeds, before, after = made_taps(entry, true, 1.0, 12, rng)
+        poses = (after, before) if exchanged else (before, after)
+        taps = zip(speeds, *poses, strict=True)
+        record = write(tmp_path / "taps.csv", ((name, *tap) for tap in taps))
+        output = tmp_path / "cell.yaml"
+        command = ["calibrate", "mounts", str(record), "--cell", str(FILE)]
+        assert main([*command, "--output", str(output)]) == 1
+        assert words in capsys.readouterr().err
+        assert not output.exists()
+
+
 def test_an_unknown_tapper_and_too_few_taps_are_refused(tmp_path: Path, capsys) -> None:
     still = ((0.0, 0.0, 0.0), (0.02, 0.0, 0.1))
     for name, words in (("upstairs", "made by 'upstairs'"), ("east", "at least 4")):

@@ -36,10 +36,10 @@ def test_undeploy_removes_exactly_what_deploy_wrote(
     assert files_of(tmp_path) == {"etc/fstab"}, "a dry run writes nothing"
     assert "ExecStart=" in capsys.readouterr().out
     assert deploy(tmp_path, "--page") == 0
-    assert len(files_of(tmp_path)) == 11
+    assert len(files_of(tmp_path)) == 13
     load_cell(tmp_path / "etc/tapping_cell/cell.yaml")
     assert main(["undeploy", "--root", str(tmp_path), "--dry-run"]) == 0
-    assert len(files_of(tmp_path)) == 11
+    assert len(files_of(tmp_path)) == 13
     assert main(["undeploy", "--root", str(tmp_path), "--yes"]) == 0
     assert files_of(tmp_path) == {"etc/fstab"}
     assert main(["undeploy", "--root", str(tmp_path), "--yes"]) == 2

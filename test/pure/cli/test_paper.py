@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import subprocess
 from pathlib import Path
 
 import numpy as np
@@ -40,6 +41,9 @@ EXPECTED = {
     "multi: planned taps": (5.0, 5.0),
     "multi: mean taps": (3.3, 4.5),
     "exact with 0.7 mm and 0.8 degrees as standard deviations": (8.0, 12.5),
+    "exact with half the scatter of a tap": (4.1, 5.4),
+    "exact with twice the scatter of a tap": (4.9, 6.4),
+    "exact, stops only if the goal is reached with 99.9 % probability": (5.3, 7.1),
     "this cell (optimal)": (2.2, 2.9),
     "rounding none: paper's cell, exact": (4.3, 5.6),
     "rounding none: this cell, optimal": (2.1, 2.8),
@@ -97,12 +101,21 @@ def test_the_ros_cell_continues_its_series_and_has_its_own_rows(folder, monkeypa
         if words[0] == "single-tap":
             (folder / "graph" / "single-tap_1").mkdir(exist_ok=True)
         if words[0] == "demo":
-            return json.dumps({"taps": int(words[words.index("--seed") + 1]) % 2 + 2})
+            seed, out = words[words.index("--seed") + 1], Path(words[words.index("--out") + 1])
+            out.mkdir()  # demo refuses a folder with a run
+            printed = json.dumps({"taps": int(seed) % 2 + 2, "reached": seed != "5"})
+            if seed == "5":
+                raise subprocess.CalledProcessError(1, words, printed, "goal not reached")
+            return printed
         return json.dumps(disk)
+
+    def interrupted(where, method, seed):
+        (where / f"{method}_{seed}").mkdir()
+        raise ZeroDivisionError
 
     monkeypatch.setattr(paper, "_verb", play)
     with monkeypatch.context() as failing:
-        failing.setattr(paper, "_graph_goal", lambda *_: 1 / 0)
+        failing.setattr(paper, "_graph_goal", interrupted)
         with pytest.raises(ZeroDivisionError):
             paper.experiments(folder, TRIALS, processes=1, graph=True)
     results = paper.experiments(folder, TRIALS, processes=1, graph=True)
@@ -110,8 +123,9 @@ def test_the_ros_cell_continues_its_series_and_has_its_own_rows(folder, monkeypa
     assert verbs.count("single-tap") == verbs.count("object") == 1
     assert verbs.count("demo") == len(paper.GRAPH_METHODS) * len(paper.GRAPH_SEEDS)
     rows = {row.quantity: row for row in paper.rows_of(results) if "ROS" in row.section}
-    assert rows["torque factor, aluminium disk"].here == "3.4 (3.2\u00a0to\u00a03.5)"
+    assert rows["torque factor, aluminium disk"].here == "3.40 (3.20\u00a0to\u00a03.50)"
     assert rows["multi"].value == 2.6 and rows["multi"].low < 2.6 < rows["multi"].high
+    assert rows["multi"].why.endswith("4 of 5 goals reached")
 
 
 @given(distance=st.floats(0.0, 0.3), rotation=st.floats(-np.pi, np.pi))

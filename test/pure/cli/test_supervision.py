@@ -5,12 +5,16 @@ from __future__ import annotations
 
 import os
 import socket
+import tempfile
 from pathlib import Path
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from tapping_cell.cli.graph import Ended, NodeDied, last_output
 from tapping_cell.cli.supervision import DELAY_S, HUNG_S, MAX_RESTARTS, WINDOW_S, Supervisor
+from tapping_cell.nodes import service_manager
 from tapping_cell.nodes.service_manager import ALIVE, SOCKET_VARIABLE, Notifications, notify
 
 
@@ -140,3 +144,25 @@ def test_the_output_is_found_in_a_log_that_was_emptied(tmp_path: Path) -> None:
     log.write_text("old\nnew\n")
     assert last_output(log, 4) == "new"
     assert last_output(log, 1000) == "old | new"
+
+
+@given(st.text(), st.integers(1, 999))
+def test_a_code_in_the_journal_is_a_field_that_no_sentence_forges(sentence: str, code: int) -> None:
+    with (
+        pytest.MonkeyPatch.context() as patch,
+        tempfile.TemporaryDirectory() as folder,
+        socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as journal,
+    ):
+        journal.bind(f"{folder}/journal")
+        journal.setblocking(False)
+        patch.setattr(service_manager, "JOURNAL", f"{folder}/journal")
+        patch.delenv(service_manager.STREAM_VARIABLE, raising=False)
+        service_manager.journal("scara_arm", code, sentence)
+        with pytest.raises(BlockingIOError):
+            journal.recv(1)
+        patch.setenv(service_manager.STREAM_VARIABLE, "8:1")
+        service_manager.journal("scara_arm", code, sentence)
+        entry = journal.recv(65536).decode(errors="replace").split("\n")
+    fields = dict(line.split("=", 1) for line in entry if line)
+    assert len(fields) == 5 and fields["TAPPING_CELL_CODE"] == str(code)
+    assert fields["MESSAGE"].startswith("scara_arm: ")

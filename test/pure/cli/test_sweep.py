@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import sys
 from pathlib import Path
@@ -9,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from tapping_cell.cli import main, sweep
-from tapping_cell.report.sweep import sweep_table
+from tapping_cell.report.sweep import POINT_COLUMNS, sweep_table
 
 WORDS = ["evaluate", "--planner", "exact", "--trials", "60", "--sweep"]
 
@@ -55,10 +56,20 @@ def test_a_sweep_writes_a_table_and_a_plot(tmp_path, capsys):
     shown = capsys.readouterr().out
     assert shown.count("\n| ") == 5 and "| tolerance | rotation-scatter |" in shown
     rows = (tmp_path / "sweep.csv").read_text().splitlines()
-    assert len(rows) == 5 and rows[0].startswith("tolerance,rotation-scatter,mean_taps")
+    assert len(rows) == 5
+    assert rows[0].startswith("tolerance_mm_deg,rotation_scatter_percent,mean_taps")
     assert (tmp_path / "sweep.png").stat().st_size > 5000
     mean = [float(row.split(",")[2]) for row in rows[1:]]
+    with (tmp_path / "trials.csv").open(encoding="utf-8") as stream:
+        trials = list(csv.DictReader(stream))
+    tight = [row for row in trials if row["tolerance_mm_deg"] == "1"]
+    taps = [int(row["taps"]) for row in tight if row["rotation_scatter_percent"] == "30"]
+    assert len(trials) == 4 * 60 and sum(taps) / 60 == pytest.approx(mean[3])
     assert mean[0] < mean[1] and mean[2] < mean[3]  # more taps with more scatter
+
+
+def test_every_parameter_has_a_column() -> None:
+    assert list(sweep.PARAMETERS) == list(POINT_COLUMNS)
 
 
 def test_an_interrupted_sweep_is_resumed(tmp_path, monkeypatch, capsys):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from pathlib import Path
 
@@ -127,6 +128,10 @@ MISTAKES = [
     (ARM, 'lower="-2.97"', 'lower="-170"', "if it is in degrees, write -2.96706"),
     (ARM, '"joint_4"', '"joint_four"', "it has no joint joint_4"),
     (SIX, "tip_link: flange", "tip_link: tool0", "its links are base_link, flange"),
+    (DISK, "mass: 0.2455", "mass: 02.Apr", "a spreadsheet has turned the number into a date"),
+    (DISK, "mass: 0.2455", "mass: 1.2.2026", "a spreadsheet has turned the number into a date"),
+    (SQUARE, "[-0.04, 0.04]]", "[-0.04, 0.04], [-0.04, -0.04]]", "appears twice; delete it"),
+    (CAMERA, "image_width", "%YAML:1.0\n---\nimage_width", "of OpenCV's cv::FileStorage"),
 ]
 
 
@@ -145,6 +150,52 @@ def test_a_common_mistake_is_refused_with_cause_and_remedy(
     errors = [sentence for found in check(checked) for sentence in found.errors]
     assert any(words in sentence for sentence in errors), errors
     assert all(str(path) in sentence for sentence in errors), errors
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("object: objects/", "object: objects\\", "did you mean '{}/objects/aluminium_disk.yaml'?"),
+        ("aluminium_disk", "Aluminium_Disk", "did you mean 'aluminium_disk.yaml'?"),
+        (
+            "markers: table.yaml",
+            "markers: camera_info.yaml",
+            "the kind camera_info, but the kind table is",
+        ),
+        (
+            "info: camera_info.yaml",
+            "info: table.yaml",
+            "the kind table, but the kind camera_info is",
+        ),
+        (
+            "object: objects/aluminium_disk.yaml",
+            "object: cell.yaml",
+            "of the kind cell, but the kind object is",
+        ),
+    ],
+)
+def test_a_wrong_path_in_a_cell_file_is_refused_with_one_sentence(
+    old: str, new: str, words: str, tmp_path: Path
+) -> None:
+    folder = tmp_path / "config"
+    shutil.copytree(shared_folder(), folder)
+    text = (folder / CELL).read_text(encoding="utf-8")
+    assert old in text
+    (folder / CELL).write_text(text.replace(old, new, 1), encoding="utf-8")
+    (error,) = [sentence for found in check(folder / CELL) for sentence in found.errors]
+    assert words.format(folder) in error
+
+
+def test_a_lens_with_the_third_radial_coefficient_before_the_tangential_ones_is_a_warning(
+    tmp_path: Path,
+) -> None:
+    text = (shared_folder() / CAMERA).read_text(encoding="utf-8")
+    path = tmp_path / CAMERA
+    path.write_text(text.replace("0.08, 0.0004, -0.0003, 0.0]", "0.08, -0.02, 0.0004, -0.0003]"))
+    (found,) = check(path)
+    assert not found.errors
+    assert "the order, which is k1, k2, p1, p2, k3" in found.warnings[0]
+    assert check(shared_folder() / CAMERA)[0].warnings == []
 
 
 def poses() -> list[list[float]]:
@@ -175,6 +226,7 @@ def table(names: str, rows: list[list[float]], mark: str = ".") -> str:
 
 
 JOINTS = "shoulder,elbow,tool"
+DATES = re.sub(r"\n-?[0-9.]+,", "\n02.Apr,", table(f"{JOINTS},x,y", poses()), count=8)
 RECORDS = [
     ("arm", table(f"{JOINTS},x,y", poses()), ""),
     ("arm", table(f"{JOINTS},y,x", poses()), "after the columns x and y are exchanged"),
@@ -182,8 +234,15 @@ RECORDS = [
     ("arm", table(f"{JOINTS},x,y", poses(), ","), "row 2 has 10 cells: the comma seems to be"),
     ("arm", table(f"{JOINTS},x,y", np.degrees(poses()).tolist()), "if the values are in deg"),
     ("arm", table("energy,distance", taps()), "it is a record for `calibrate tapper`"),
+    ("arm", DATES, "a spreadsheet has turned the number into a date"),
+    ("arm", "PK\x03\x04" + table(f"{JOINTS},x,y", poses()), "is a file of a spreadsheet program"),
     ("arm", "<<<<<<< HEAD\n" + table(f"{JOINTS},x,y", poses()), "line 1 is the marker <<<<<<<"),
     ("tapper", table("energy,distance", taps()), ""),
+    (
+        "tapper",
+        table("energy,distance", [[e, 100.0 * d] for e, d in taps()]),
+        "distance_cm if the values are in cm",
+    ),
     ("tapper", table("energy_mJ,distance", taps()), "check the unit in the name of its column"),
     (
         "tapper",
@@ -208,6 +267,8 @@ def test_a_mistake_in_a_record_is_refused_and_named(
 ARGUMENTS = [
     (["goal", "50,5", "-20", "90"], "write a decimal point: 50.5"),
     (["demo", "--goal", "10", "20mm", "0"], "write the number without 'mm'"),
+    (["evaluate", "--tolerance", "0.001", "0.02"], "if the value is in m, write 1"),
+    (["goal", "50", "-20", "90", "--tolerance", "0.001", "0.02"], "must be 0.01 to 100 mm"),
     (["goal", "--layout", "LAYOUT"], "'goals[0]' and 'goals[1]' are both for the object 'a'"),
 ]
 

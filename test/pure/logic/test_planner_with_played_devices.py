@@ -71,6 +71,7 @@ class Actors(VirtualNode):
         self.tip = Pose(0.0, 0.0, 0.0)
         self.object_id = "aluminium disk"
         self.visible = self.at_rest = True
+        self.rest_since = Time()
         self.covariance: list[float] = COVARIANCE.reshape(-1).tolist()
         self.camera_active = self.arm_active = self.tapper_active = True
         self.arm_arrives = self.arm_withdraws = True
@@ -134,6 +135,7 @@ class Actors(VirtualNode):
             seen = ObjectState(
                 visible=self.visible,
                 at_rest=self.at_rest,
+                at_rest_since=self.rest_since,
                 frames_fused=30,
                 object_id=self.object_id,
             )
@@ -673,6 +675,31 @@ def test_taps_without_effect_end_the_goal(actors: Actors) -> None:
     assert end.error_code == ErrorCode.TAP_WITHOUT_EFFECT
     assert "3 taps" in end.error_msg
     assert len(actors.taps()) == 3
+
+
+def test_a_tap_that_misses_learns_nothing_from_an_earlier_slide(actors, monkeypatch):
+    tracks = []
+    monkeypatch.setattr(Task, "take_in", _with_tracks(Task.take_in, tracks))
+    actors.run(0.3)
+    actors.at_rest = False
+    for step in range(5, 0, -1):
+        actors.pose = Pose(START.x - 0.01 * step, START.y, START.theta)
+        actors.run(0.04)
+    actors.pose, actors.at_rest, actors.rest_since = START, True, actors.stamp()
+    actors.moves_when_fired = False
+    actors.send()
+    assert actors.end().error_code == ErrorCode.TAP_WITHOUT_EFFECT
+    assert tracks == [None, None, None]
+
+
+def _with_tracks(take_in, tracks):
+    """Return a ``Task.take_in`` that adds each track to a list."""
+
+    def take(task, shot, seen, track=None):
+        tracks.append(track)
+        take_in(task, shot, seen, track)
+
+    return take
 
 
 @pytest.mark.parametrize(

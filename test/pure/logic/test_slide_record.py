@@ -14,7 +14,7 @@ from tapping_cell.logic.clock import Now, to_stamp
 from tapping_cell.logic.poses import covariance_to_message, from_message, to_message
 from tapping_cell.mechanics import Sliding
 from tapping_cell.messages import ObjectState, PoseWithCovariance
-from tapping_cell.planning.track import slid_of
+from tapping_cell.planning.track import launch_from, slid_of
 from tapping_cell.se2 import Pose
 from tapping_cell.vision.rest_detection import RestSettings, Track
 
@@ -67,7 +67,8 @@ def test_friction_and_torque_factor_follow_from_the_observations(
             rest = state if state.at_rest else rest
         track = monitor.track(rest)
         after = from_message(rest.pose.pose)
-        slid = None if track is None else slid_of(track, BEFORE, after, model)
+        launch = None if track is None else launch_from(track, BEFORE, after, model)
+        slid = None if launch is None else slid_of(launch, BEFORE, after, model)
         if slid is None or not np.isfinite(slid.slope):
             continue
         found += 1
@@ -89,3 +90,13 @@ def test_a_slide_that_was_hidden_has_no_track() -> None:
             monitor.on_object(state, Now(0.0, 0))
             rest = state
     assert monitor.track(rest) is None
+
+
+def test_the_track_of_a_tap_begins_when_the_tap_is_planned() -> None:
+    model = make_tap(load_cell()).sliding
+    monitor = CellMonitor(0.5)
+    for state in observed(model, 120.0, 1):
+        monitor.on_object(state, Now(0.0, 0))
+    assert monitor.object is not None and monitor.track(monitor.object) is not None
+    monitor.begin_track()
+    assert monitor.track(monitor.object) is None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from pathlib import Path
 from urllib.parse import parse_qs, urlsplit
 
 import cv2
@@ -13,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tapping_cell.nodes.page.ghost import Ghost
-from tapping_cell.nodes.page.guard import Guard, is_loopback, urls
+from tapping_cell.nodes.page.guard import Guard, is_loopback, kept_token, urls
 from tapping_cell.nodes.page.requests import (
     KINDS,
     LONGEST_NAME,
@@ -153,6 +154,8 @@ def test_a_goal_is_in_millimetres_and_degrees() -> None:
         (json.dumps({"do": "arrange", "goals": [GOAL, GOAL]}), "each for a different object"),
         (json.dumps({"do": "arrange", "goals": [GOAL] * (MAX_OBJECTS + 1)}), "at most 20"),
         ('{"do": "preset", "preset": "grid", "objects": [7]}', "object is 7; 1 to 40"),
+        ('{"do": "keep_run", "run": 7, "keep": true}', "run is 7; 1 to 120"),
+        ('{"do": "keep_run", "run": "a", "keep": "no"}', 'keep is "no"; true or false'),
         ('{"do": "fly"}', "'do' is \"fly\", but must be one of hello"),
         ("[1]", "not a JSON object"),
         ('{"do"', "not JSON"),
@@ -179,6 +182,15 @@ def test_network_access_requires_a_token_and_local_access_does_not() -> None:
     assert len(OPEN.token) >= 20 and OPEN.token != Guard.make("0.0.0.0", (), "").token
     assert Guard.make("::", (), "mine").token == "mine"
     assert Guard.make("127.0.0.1", (), "mine").admits("mine")
+
+
+def test_the_generated_token_survives_a_restart_and_only_its_owner_reads_it(tmp_path: Path) -> None:
+    file = tmp_path / "domain0/page_token"
+    token = kept_token(file)
+    assert len(token) >= 20 and kept_token(file) == token
+    assert file.stat().st_mode & 0o077 == 0
+    file.write_text("")
+    assert kept_token(file) not in ("", token)
 
 
 @given(JSON)

@@ -31,6 +31,7 @@ from tapping_cell.nodes.page import server
 from tapping_cell.nodes.page.guard import Guard
 from tapping_cell.nodes.page.requests import Command, Request
 from tapping_cell.nodes.page.runs import Runs
+from tapping_cell.nodes.recorder.run_names import STARRED
 from tapping_cell.report.run_folder import write_illustrated_run
 from tapping_cell.report.run_reader import IllustratedRun
 
@@ -462,6 +463,16 @@ def test_only_the_recorders_own_folders_are_runs(tmp_path: Path) -> None:
     )
     assert [name for name in names if runs.find(name) or runs.report(name)] == []
     assert runs.archive("link") is None
+
+
+def test_a_run_that_is_kept_has_the_file_that_the_recorder_respects(tmp_path: Path) -> None:
+    runs = Runs(tmp_path / "runs")
+    run = make_run(tmp_path / "runs", "good")
+    make_run(tmp_path, "elsewhere")
+    for keep in (True, True, False, False):
+        assert runs.keep("good", keep)
+        assert (run / STARRED).exists() is keep and runs.rows()[0]["kept"] is keep
+    assert not runs.keep("../elsewhere", True) and not (tmp_path / "elsewhere" / STARRED).exists()
 
 
 def test_runs_are_listed_newest_first_and_a_corrupt_summary_is_reported(tmp_path: Path) -> None:

@@ -15,15 +15,20 @@ import yaml
 from ament_index_python.packages import get_package_share_directory
 from hypothesis import given
 from hypothesis import strategies as st
+
+pytest.importorskip("mcap", reason="mcap is not installed; it has no Debian package")
+pytest.importorskip("rosbags", reason="rosbags is not installed; it has no Debian package")
+
 from mcap.reader import make_reader
 from mcap.stream_reader import StreamReader
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
-from tapping_cell.report.bag import BagError, BagWriter, Quality, bag_file, read_bag, recover
+from tapping_cell.report.bag import BagWriter, bag_file, read_bag, recover
 from tapping_cell.report.message_files import UnknownMessageType
 from tapping_cell.report.message_types import MessageTypes
+from tapping_cell.report.recorded import BagError, Quality
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 MESSAGES = Path(__file__).resolve().parents[3] / "msg_defs" / "msg"
@@ -182,6 +187,18 @@ def test_a_killed_writer_leaves_all_flushed_messages(tmp_path: Path) -> None:
     assert mended.whole and len(mended.messages) == 40
     with Reader(tmp_path / "mended") as reader:
         assert reader.message_count == 40
+
+
+def test_a_bag_that_lacks_a_part_is_not_whole(tmp_path: Path) -> None:
+    """A renamed file is no missing part."""
+    write(tmp_path / "bag")
+    bag_file(tmp_path / "bag").rename(tmp_path / "bag" / "other.mcap")
+    assert read_bag(tmp_path / "bag").whole
+    metadata = tmp_path / "bag" / "metadata.yaml"
+    text = metadata.read_text()
+    assert "  - bag.mcap\n" in text
+    metadata.write_text(text.replace("  - bag.mcap\n", "  - other.mcap\n  - bag_1.mcap\n"))
+    assert "lacks bag_1.mcap of the 2 files" in read_bag(tmp_path / "bag").missing
 
 
 @given(share=st.floats(0.0, 1.0))

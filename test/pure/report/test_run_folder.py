@@ -18,8 +18,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from made_bags import BEGAN, GOAL, STOPS, MadeRun
 
-from tapping_cell.report.bag import BagError, bag_file, read_bag
+from tapping_cell.report.bag import bag_file, read_bag
 from tapping_cell.report.cell_view import draw_cell
+from tapping_cell.report.recorded import BagError
 from tapping_cell.report.run import RunObject
 from tapping_cell.report.run_folder import (
     RunError,

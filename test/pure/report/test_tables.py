@@ -1,15 +1,23 @@
 """Tables of trials, runs and taps."""
 
 import csv
+import json
 import math
 
 import pytest
 from made_bags import STOPS, MadeRun
 from single_tap_records import taps, write
 
-from tapping_cell.cli import main
+from tapping_cell.cli import evaluate_fixed, main
+from tapping_cell.planning.evaluation.task import End, Results
 from tapping_cell.report.run_folder import write_folder
-from tapping_cell.report.tables import RUN_COLUMNS, TRIAL_COLUMNS, write_table
+from tapping_cell.report.tables import (
+    METHOD,
+    RUN_COLUMNS,
+    SCENE_COLUMNS,
+    TRIAL_COLUMNS,
+    write_table,
+)
 
 
 def rows(path):
@@ -45,9 +53,41 @@ def test_one_evaluation_writes_its_trials(tmp_path, capsys):
     assert main(["evaluate", *words, "--report", str(tmp_path / "new")]) == 0
     capsys.readouterr()
     trials = rows(tmp_path / "new" / "trials.csv")
-    assert list(trials[0]) == list(TRIAL_COLUMNS) and len(trials) == 20
+    assert list(trials[0]) == [*METHOD, *TRIAL_COLUMNS] and len(trials) == 20
     assert [row["trial"] for row in trials] == [str(number) for number in range(20)]
     assert all(row["inside"] == "True" and float(row["distance_mm"]) <= 1.0 for row in trials)
+
+
+def test_fixed_tappers_write_the_trials_of_each_start_angle(tmp_path, capsys, monkeypatch):
+    def play(evaluation, note):
+        angle = math.degrees(evaluation.start_angle)
+        trial = (2 if angle < 20 else 5, int(End.DONE), True, 5e-4, 0.01, False, 8.0)
+        return Results.of_trials([trial] * evaluation.trials)
+
+    monkeypatch.setattr(evaluate_fixed, "evaluate_fixed", play)
+    words = ["--cell", "config/positioning_cell/cell.yaml", "--start-angles", "10", "30"]
+    assert main(["evaluate", *words, "--trials", "2", "--report", str(tmp_path / "new")]) == 0
+    capsys.readouterr()
+    trials = rows(tmp_path / "new" / "trials.csv")
+    assert list(trials[0]) == ["start_angle_deg", *TRIAL_COLUMNS]
+    assert [(row["start_angle_deg"], row["taps"]) for row in trials] == [
+        ("10", "2"),
+        ("10", "2"),
+        ("30", "5"),
+        ("30", "5"),
+    ]
+
+
+def test_arrangements_write_one_row_for_each_scene(tmp_path, capsys):
+    words = ["--arrange", "2", "--radius", "20", "--trials", "2", "--processes", "1", "--json"]
+    planner = ["--planner", "exact", "--camera-noise", "0.05", "0.05"]
+    assert main(["evaluate", *words, *planner, "--report", str(tmp_path)]) == 0
+    found = json.loads(capsys.readouterr().out)["methods"]["sequence"]
+    scenes = rows(tmp_path / "scenes.csv")
+    assert list(scenes[0]) == list(SCENE_COLUMNS)
+    assert [(row["scene"], row["objects"]) for row in scenes] == [("0", "2"), ("1", "2")]
+    done = [int(row["taps"]) for row in scenes if row["end"] == "done"]
+    assert sum(done) / len(done) == found["taps_mean"]
 
 
 def test_runs_become_two_tables_that_belong_together(tmp_path, capsys):

@@ -7,7 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tapping_cell.configuration.schema import ConfigurationError
 from tapping_cell.simulation.pacing import STEADY_S, Pace
+from tapping_cell.simulation.truth import CameraTruth
 
 PERIOD = 1 / 30
 
@@ -67,3 +69,9 @@ def test_slow_motion_extends_a_slide_by_its_factor() -> None:
         moving = [machine for machine, world in taken if 2.0 <= world < 2.5]
         spans.append(moving[-1] - moving[0])
     assert spans[1] / spans[0] == pytest.approx(5.0, rel=0.1)
+
+
+def test_an_exposure_longer_than_the_time_between_two_images_is_refused() -> None:
+    CameraTruth(exposure=0.008).check_rate(120.0)
+    with pytest.raises(ConfigurationError, match=r"9 ms, longer than the 8\.3 ms .* at 120 Hz"):
+        CameraTruth(exposure=0.009).check_rate(120.0)

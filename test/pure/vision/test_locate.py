@@ -178,3 +178,19 @@ def test_an_invalid_file_is_named(folder, capsys):
     bad.write_text("dictionary: nonsense_9x9\nmarkers: [{id: 1, size: 0.04, x: 0, y: 0}]\n")
     assert main(["locate", str(folder / "shot0.png"), f"--table={bad}"]) == 2
     assert "nonsense_9x9" in capsys.readouterr().err
+
+
+def test_a_mirrored_image_and_a_mirrored_table_are_named(folder, tmp_path, capsys):
+    """The object is not in view: only the reference markers show the mistake."""
+    image = cv2.imread(str(folder / "empty.png"))
+    cv2.imwrite(str(tmp_path / "mirrored.png"), image[:, ::-1])
+    assert locate(folder, str(tmp_path / "mirrored.png")) == 1
+    assert "are seen mirrored; turn off mirroring" in capsys.readouterr().out
+    table = yaml.safe_load((folder / "table.yaml").read_text())
+    for marker in table["markers"]:
+        marker["x"], marker["y"] = marker["y"], marker["x"]
+    (tmp_path / "table.yaml").write_text(yaml.safe_dump(table))
+    options = [f"--{kind}={folder / f'{kind}.yaml'}" for kind in ("camera", "object")]
+    image_file, table_file = str(folder / "shot0.png"), f"--table={tmp_path / 'table.yaml'}"
+    assert main(["locate", image_file, table_file, *options]) == 1
+    assert "exchanged coordinates or a wrong sign mirror the table" in capsys.readouterr().out

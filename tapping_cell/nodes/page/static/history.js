@@ -95,6 +95,12 @@ function renderRuns(runs, key, hint, connected) {
     const files = row.insertCell();
     if (run.report) files.append(runLink(key, run, "report.html", "report"), " ");
     files.append(runLink(key, run, "run.zip", "zip"));
+    const star = create("button", { type: "button", className: "star", title: run.kept
+      ? "This run is never deleted. Press to allow its deletion." : "Keep this run: it is never deleted." }, run.kept ? "\u2605" : "\u2606");
+    star.setAttribute("aria-label", `keep ${run.name}`);
+    star.setAttribute("aria-pressed", String(run.kept));
+    star.addEventListener("click", () => request("keep_run", { run: run.name, keep: !run.kept }));
+    row.insertCell().append(star);
     return row;
   }));
 }

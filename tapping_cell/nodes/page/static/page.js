@@ -12,7 +12,7 @@ const MODE_WORDS = {
 const ANSWERS = {
   goal: "goal-answer", cancel: "goal-answer", stop: "attention-answer", clear: "attention-answer",
   press_button: "attention-answer", home: "attention-answer", confirm: "planned-answer",
-  queue: "queue-answer", settings: "settings-answer", arrange: "arrange-answer",
+  queue: "queue-answer", settings: "settings-answer", arrange: "arrange-answer", keep_run: "run-answer",
   jog: "jog-answer", park: "jog-answer", fire_at_nothing: "jog-answer",
 };
 
