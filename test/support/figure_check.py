@@ -28,8 +28,8 @@ def collected() -> Iterator[dict[str, list[str]]]:
     plain = Figure.savefig
 
     def checked(figure: Figure, file: Any, **options: Any) -> None:
+        plain(figure, file, **options)  # first: drawing the figure would change its layout
         found[str(file).rpartition("/")[2]] = problems(figure)
-        plain(figure, file, **options)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Figure, "savefig", checked)
