@@ -80,7 +80,7 @@ def test_every_topic_and_service_of_the_nodes_is_listed() -> None:
     ours -= {"probe", "parameter_events"}
     actions = {"arrange_objects", "position_object", "single_tap"}
     assert ours == documented - actions - {"confirm_tap", "hold_still", "reset_world"}
-    ends = re.compile(r"/(cancel|home|stop|clear_\w+|press_\w+)$")
+    ends = re.compile(r"/(cancel|home|jog|stop|clear_\w+|press_\w+)$")
     private = {name for name in services if ends.search(name)}
     for name in private:
         assert f"`~/{name.rsplit('/', 1)[1]}`" in PAGE, name
