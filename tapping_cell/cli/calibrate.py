@@ -19,28 +19,14 @@ result, --accept-worse is required as well.
 from __future__ import annotations
 
 import argparse
-import importlib
-from typing import Protocol, cast
 
 from tapping_cell.calibration.camera import CalibrationRefused
 from tapping_cell.calibration.csv_table import RecordError
 from tapping_cell.calibration.keep import KeptFile
 from tapping_cell.cli.errors import print_error
+from tapping_cell.cli.subverbs import add_subverbs, subverb
 from tapping_cell.configuration.schema import ConfigurationError
 from tapping_cell.report.run_folder import RunError
-
-
-class Verb(Protocol):
-    """Interface of the modules ``*_verb`` in ``cli/calibration``, one for each sub-verb."""
-
-    __doc__: str | None
-
-    def add_arguments(self, parser: argparse.ArgumentParser) -> None:
-        """Declare the options."""
-
-    def run(self, arguments: argparse.Namespace) -> int:
-        """Run the sub-verb. Return the exit code."""
-
 
 SUBVERBS = {
     "camera": "focal lengths and lens distortion, from photographs of a target",
@@ -56,30 +42,17 @@ SUBVERBS = {
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the sub-verbs."""
-    sub = parser.add_subparsers(dest="subject", required=True, metavar="WHAT")
-    for name, text in SUBVERBS.items():
-        module = _module(name)
-        one = sub.add_parser(
-            name,
-            help=text,
-            description=module.__doc__,
-            formatter_class=argparse.RawDescriptionHelpFormatter,
-        )
-        module.add_arguments(one)
+    add_subverbs(parser, "calibration", SUBVERBS)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run a sub-verb. Return 0 on success, 1 for unsuitable measurements, 2 for an invalid file or
     option."""
     try:
-        return _module(arguments.subject).run(arguments)
+        return subverb("calibration", arguments.subject).run(arguments)
     except CalibrationRefused as error:
         print_error(str(error))
         return 1
     except (RecordError, RunError, KeptFile, ConfigurationError, OSError) as error:
         print_error(str(error))
         return 2
-
-
-def _module(name: str) -> Verb:
-    return cast(Verb, importlib.import_module(f"tapping_cell.cli.calibration.{name}_verb"))

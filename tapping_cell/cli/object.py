@@ -8,8 +8,8 @@ python -m tapping_cell object fit records/ --output config/objects/my_disk.yaml
 from __future__ import annotations
 
 import argparse
-import importlib
-from types import ModuleType
+
+from tapping_cell.cli.subverbs import add_subverbs, subverb
 
 SUBVERBS = {
     "new": "create an object file from an image of the object",
@@ -20,22 +20,9 @@ SUBVERBS = {
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the sub-verbs."""
-    sub = parser.add_subparsers(dest="subject", required=True, metavar="WHAT")
-    for name, text in SUBVERBS.items():
-        module = _module(name)
-        one = sub.add_parser(
-            name,
-            help=text,
-            description=module.__doc__,
-            formatter_class=argparse.RawDescriptionHelpFormatter,
-        )
-        module.add_arguments(one)
+    add_subverbs(parser, "objects", SUBVERBS)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run a sub-verb. Return its exit code."""
-    return int(_module(arguments.subject).run(arguments))
-
-
-def _module(name: str) -> ModuleType:
-    return importlib.import_module(f"tapping_cell.cli.objects.{name}_verb")
+    return subverb("objects", arguments.subject).run(arguments)

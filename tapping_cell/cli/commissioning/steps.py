@@ -109,7 +109,7 @@ def ports(session: Session) -> Proof:
 def connections(session: Session) -> Proof:
     """Identify controller and board, and compare their settings with the cell file."""
     if session.hardware:
-        return _device_checks(session.cell_file, session)
+        return _device_checks(session.cell_file)
     with session.running(only_world=True) as graph:
         port = session.ports / "arm"
         wait(port.exists, READY_S, "the simulated devices", graph)
@@ -119,14 +119,13 @@ def connections(session: Session) -> Proof:
             text = with_value(text, f"{name}.port", str(session.ports / name))
         replace_text(copy, text)
         try:
-            return _device_checks(copy, session)
+            return _device_checks(copy)
         finally:
             copy.unlink()
 
 
-def _device_checks(cell_file: Path, session: Session) -> Proof:
-    cell = load_cell(cell_file)
-    rows = [*device_checks.check_arm(cell), *device_checks.check_tapper(cell)]
+def _device_checks(cell_file: Path) -> Proof:
+    rows = device_checks.check_devices(load_cell(cell_file), write=False)
     wrong = [f"{row.device}, {row.setting}: {row.found} {row.remedy}" for row in rows if not row.ok]
     if wrong:
         raise StepFailed("; ".join(wrong))
