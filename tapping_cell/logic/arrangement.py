@@ -135,11 +135,6 @@ class ArrangementTask(Task):
         return f"arrangement: {goals}"
 
     @property
-    def watched(self) -> str:
-        """See :class:`Task`."""
-        return self.object_id
-
-    @property
     def purpose(self) -> str:
         """Why the present object is tapped now."""
         if self._tap is None:

@@ -105,7 +105,7 @@ class PlanReports:
         task, shot, is_final = subject.task, subject.shot, subject.state in FINAL
         # While the monitor watches another object, of which an observation is missing, the report
         # is still about the present object.
-        pose = self._monitor.pose_of("" if task is None else task.watched)
+        pose = self._monitor.pose_of("" if task is None else task.object_id)
         state = PlanState(state=WIRE[subject.state], error_code=code, error_msg=sentence)
         state.header.stamp = to_stamp(now.ros)
         state.header.frame_id = "table"

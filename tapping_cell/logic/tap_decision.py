@@ -56,7 +56,7 @@ def act(
     if isinstance(decision, Done):
         yield End(State.IDLE if isinstance(task, SingleTapTask) else State.REACHED)
         return
-    error = tap_counts.exhausted(task, cell.settings, cell.monitor.pose_of(task.watched))
+    error = tap_counts.exhausted(task, cell.settings, cell.monitor.pose_of(task.object_id))
     if error is not None:
         yield failed(*error)
     elif cell.monitor.missing(now) is not None:

@@ -211,11 +211,6 @@ class Task:
         )
 
     @property
-    def watched(self) -> str:
-        """Name of the object for :meth:`CellMonitor.watch`; empty for the cell's own object."""
-        return ""
-
-    @property
     def purpose(self) -> str:
         """Why the present object is tapped now; empty for the only object with a goal."""
         return ""

@@ -90,7 +90,7 @@ class Cell:
         self.publish("tapper_state", TapperState(state=TapperState.SAFE, interlock_closed=True))
         seen = ObjectState(visible=True, at_rest=True, frames_fused=30)
         seen.pose.pose = to_message(Pose(0.01, -0.02, 0.5))
-        self.publish("object_state", seen)
+        self.publish("object_states", ObjectStates(objects=[seen]))
         self.publish("plan_state", PlanState(state=PlanState.IDLE))
 
     @contextlib.asynccontextmanager

@@ -21,7 +21,14 @@ from harness import TIMEOUT_S, Bench, bench
 from rclpy.duration import Duration
 from ros_output import RosOutput
 from std_srvs.srv import Trigger
-from tapping_cell_msgs.msg import ArmState, ErrorCode, ObjectState, PlanState, TapCommand
+from tapping_cell_msgs.msg import (
+    ArmState,
+    ErrorCode,
+    ObjectState,
+    ObjectStates,
+    PlanState,
+    TapCommand,
+)
 from tapping_cell_msgs.msg import TapperState as TapperMessage
 from tapping_cell_msgs.srv import HoldStill
 
@@ -78,7 +85,7 @@ class Cell:
         self.commands = node.create_publisher(TapCommand, "tap_command", COMMAND)
         self.arm = node.create_publisher(ArmState, "arm_state", LATCHED)
         self.plan = node.create_publisher(PlanState, "plan_state", LATCHED)
-        self.camera = node.create_publisher(ObjectState, "object_state", LATCHED)
+        self.camera = node.create_publisher(ObjectStates, "object_states", LATCHED)
         self.stop = node.create_client(Trigger, "tapper_trigger/stop")
         self.clear = node.create_client(Trigger, "tapper_trigger/clear_fault")
         node.create_service(HoldStill, "hold_still", self._hold_still)
@@ -118,7 +125,7 @@ class Cell:
         for each in (arm, plan, seen):
             each.header.stamp = now
         self.plan.publish(plan)
-        self.camera.publish(seen)
+        self.camera.publish(ObjectStates(header=seen.header, objects=[seen]))
         self.arm.publish(arm)
         time.sleep(0.03)
         last = self.states[-1]
