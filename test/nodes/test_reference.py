@@ -43,7 +43,7 @@ def section(title: str) -> str:
 
 @pytest.mark.parametrize("node", NODES)
 def test_every_parameter_is_listed_with_its_description_and_range(node: str) -> None:
-    rows = section(f"`{node}`")
+    rows = section("Every node") + section(f"`{node}`")
     parameters = importlib.import_module(MODULES[node]).Parameters
     fields = dataclasses.fields(parameters)
     for entry in fields:
