@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import importlib
 import inspect
 import json
 import re
@@ -87,8 +88,8 @@ page also show the remedy.
 
 `make reference` writes this page from `msg_defs/msg/ErrorCode.msg`.
 """
-_BLOCK = re.compile(r"(?<=<!-- columns of )([\w.]+)( -->\n).*?(?=<!-- end -->)", re.DOTALL)
-"""Part of a page that is written here, between two comments, the first with the table's name."""
+_BLOCK = re.compile(r"(?<=<!-- make reference: )([\w.]+)( -->\n).*?(?=<!-- end -->)", re.DOTALL)
+"""Part of a page that is written here, between two comments, the first with the part's name."""
 _HUNDREDS = {
     1: "goals and commands",
     2: "configuration",
@@ -366,16 +367,19 @@ def _section_tables(kind: type, prefix: str, title: str, written: dict[type, str
                 inner.append((name, held))
             else:
                 meaning += f"; keys as in `{known}`"
-        type_text, allowed = _type_text(hints[entry.name]), str(limits.range_text())
-        values = allowed if type_text in ("number", "text") else f"{type_text}, {allowed}"
-        values = values.strip(", ") or type_text
-        if entry.default is not dataclasses.MISSING:
-            values += _default_text(entry.default)
-        yield f"- `{name}` ({values}): {meaning}\n"
+        yield f"- `{name}` ({_values(entry, _type_text(hints[entry.name]))}): {meaning}\n"
     for name, held in inner:
         first = (inspect.getdoc(held) or "").split("\n\n")[0].replace("\n", " ")
         yield f"\n### `{name}` ({title.lower()})\n\n{first}\n"
         yield from _section_tables(held, f"{name}.", title, written)
+
+
+def _values(entry: dataclasses.Field[Any], kind: str) -> str:
+    """Return range, unit and default of a key or parameter of the given kind."""
+    allowed = str(entry.metadata["limits"].range_text()).replace("one of , ", "one of ")
+    values = allowed if kind in ("number", "text") else f"{kind}, {allowed}"
+    values = values.strip(", ") or kind
+    return values if entry.default is dataclasses.MISSING else values + _default_text(entry.default)
 
 
 def _sections_in(hint: Any) -> type | None:
@@ -451,13 +455,41 @@ def runs_page() -> str:
     }
     rows["taps.csv"] = list(_columns_of(TapRow))
 
-    def filled(block: re.Match[str]) -> str:
+    return _filled(DOCS / "runs.md", rows)
+
+
+def nodes_page() -> str:
+    """Return the page on the nodes, in which their parameters are generated. Needs ROS."""
+    from tapping_cell.nodes import MODULES
+
+    rows = {
+        node: list(_parameter_rows(importlib.import_module(module).Parameters))
+        for node, module in MODULES.items()
+    }
+    first, *others = rows.values()
+    shared = [row for row in first if all(row in other for other in others)]
+    own = {node: [row for row in lines if row not in shared] for node, lines in rows.items()}
+    return _filled(NODES, {"every_node": shared} | own)
+
+
+def _parameter_rows(kind: type) -> Iterator[str]:
+    hints = typing.get_type_hints(kind)
+    for each in dataclasses.fields(kind):
+        values = _values(each, _type_text(hints[each.name]))
+        yield f"- `{each.name}` ({values}): {each.metadata['limits'].description}\n"
+
+
+def _filled(page: Path, parts: Mapping[str, list[str]]) -> str:
+    """Return the text of a page with its generated parts."""
+
+    def part(block: re.Match[str]) -> str:
         name, end = block.groups()
-        return "".join([name, end, "\n", *rows[name], "\n"])
+        return "".join([name, end, "\n", *parts[name], "\n"])
 
-    return _BLOCK.sub(filled, (DOCS / "runs.md").read_text(encoding="utf-8"))
+    return _BLOCK.sub(part, page.read_text(encoding="utf-8"))
 
 
+NODES = DOCS / "nodes.md"
 PAGES: dict[Path, Callable[[], str]] = {
     DOCS / "commands.md": commands_page,
     DOCS / "configuration.md": configuration_page,
@@ -469,5 +501,5 @@ PAGES: dict[Path, Callable[[], str]] = {
 
 
 if __name__ == "__main__":
-    for file, text in PAGES.items():
+    for file, text in (PAGES | {NODES: nodes_page}).items():
         file.write_text(text(), encoding="utf-8")
