@@ -7,7 +7,7 @@ import pytest
 import reference_pages
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
+PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), ROOT / "lab" / "README.md"])
 
 FINDINGS = {
     "the striker is fired while the arm moves": (
