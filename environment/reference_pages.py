@@ -17,6 +17,7 @@ import types
 import typing
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from enum import Enum
 from pathlib import Path
 from typing import Any
 
@@ -290,40 +291,34 @@ FILES: tuple[tuple[str, str, type], ...] = (
         TruthFile,
     ),
 )
-_STATE_MACHINES = f"""
+_STATE_MACHINES = """
 ## State machines
 
-These diagrams come from the tables in `tapping_cell/logic`. A transition that is not drawn is not
-permitted: if it occurred, the node would enter a safe state and report code 904. `stop` leaves any
-state of arm and tapper; `clear_fault` ends the stop.
-
-### Arm
-
-In `Leaving` the arm waits until its promise to stand still has ended; `arm_state` reports this
-state as WITHDRAWING. `Inactive` is reported as FAULT with code 903.
-
-```mermaid
-{diagram(arm_states.TABLE, arm_states.State.DISCONNECTED)}
-```
-
-### Tapper
-
-In `Waiting` the tapper has a tap and waits for the arm; `tapper_state` reports this state as SAFE.
-In `Charged` the tapper requests the arm's promise to stand still.
-
-```mermaid
-{diagram(tapper_states.TABLE, tapper_states.State.DISCONNECTED)}
-```
-
-### Planner
-
-The planner does not latch a stop. A stop ends the goal, and further goals are refused while arm or
-tapper reports a stop or a fault.
-
-```mermaid
-{diagram(planner_states.TABLE, planner_states.State.IDLE)}
-```
+The diagrams come from the tables in `tapping_cell/logic`, without the transitions that most states
+have in common. A transition that is not shown is not permitted: if it occurred, the node would
+enter a safe state and report code 904.
 """
+_Rules = Mapping[tuple[Any, Any], frozenset[Any]]
+_MACHINES: dict[str, tuple[str, _Rules, Enum]] = {
+    "Arm": (
+        """In `Leaving` the arm waits until its promise to stand still has ended; `arm_state`
+reports this state as WITHDRAWING. `Inactive` is reported as FAULT with code 903.""",
+        arm_states.TABLE,
+        arm_states.State.DISCONNECTED,
+    ),
+    "Tapper": (
+        """In `Waiting` the tapper has a tap and waits for the arm; `tapper_state` reports this
+state as SAFE. In `Charged` the tapper requests the arm's promise to stand still.""",
+        tapper_states.TABLE,
+        tapper_states.State.DISCONNECTED,
+    ),
+    "Planner": (
+        """The planner does not latch a stop. A stop ends the goal, and further goals are refused
+while arm or tapper reports a stop or a fault.""",
+        planner_states.TABLE,
+        planner_states.State.IDLE,
+    ),
+}
 _PARTS = {
     camera: "measures the pose of the object",
     planner: "chooses the taps",
@@ -438,7 +433,32 @@ def contracts_page() -> str:
     for part, title in _PARTS.items():
         parts.append(f"\n## `{part.NODE}`: {title}\n\n| duty | text |\n| --- | --- |\n")
         parts += [f"| {duty.number} | {_escaped(duty.text)} |\n" for duty in part.DUTIES]
-    return "".join([*parts, _STATE_MACHINES])
+    parts.append(_STATE_MACHINES)
+    for title, (text, rules, initial) in _MACHINES.items():
+        parts.append(f"\n### {title}\n\n{text}\n\n{_state_machine(rules, initial)}")
+    return "".join(parts)
+
+
+def _state_machine(rules: _Rules, initial: Enum) -> str:
+    """Return the transitions that most states have in common as a list, and the others as a
+    diagram."""
+    states: set[Enum] = set(type(initial))
+    starts: dict[tuple[Any, Any], set[Any]] = {}
+    for (state, event), targets in rules.items():
+        for target in targets:
+            starts.setdefault((event, target), set()).add(state)
+    common = {each for each, begins in starts.items() if 2 * len(begins) > len(states)}
+    lines: dict[str, list[str]] = {}
+    for event, target in sorted(common, key=lambda each: (each[0].value, each[1].value)):
+        others = sorted(state.value for state in states - starts[event, target])
+        begin = f"every state except {', '.join(others)}" if others else "every state"
+        lines.setdefault(begin, []).append(f"{event.value} → {target.value}")
+    rest = {
+        (state, event): frozenset(each for each in targets if (event, each) not in common)
+        for (state, event), targets in rules.items()
+    }
+    shared = "".join(f"- From {begin}: {'; '.join(lines[begin])}\n" for begin in sorted(lines))
+    return f"{shared}\n```mermaid\n{diagram(rest, initial)}\n```\n"
 
 
 def runs_page() -> str:
