@@ -39,8 +39,6 @@ from tapping_cell.simulation.scene import make_renderer
 from tapping_cell.simulation.truth import CameraTruth
 from tapping_cell.vision import View
 
-pytestmark = pytest.mark.alone
-
 TRUE = Pose(0.06, -0.04, 0.8)
 TRIES = 20
 """Maximum number of repetitions: images are sent best-effort, so some may be lost."""

@@ -58,8 +58,6 @@ from tapping_cell.planning.prescribed import METHOD as PRESCRIBED
 from tapping_cell.se2 import Pose
 from tapping_cell.vision import CameraPose, View
 
-pytestmark = pytest.mark.alone
-
 TIMEOUT_S = 60.0
 PARAMETERS: dict[str, dict[str, object]] = {"operator_page": {"port": 0, "stop_port": 0}}
 

@@ -36,8 +36,6 @@ from tapping_cell.configuration.files import shared_folder
 from tapping_cell.nodes.cell_node import COMMAND, LATCHED
 from tapping_cell.nodes.drivers.tapper_trigger import TapperTrigger
 
-pytestmark = pytest.mark.alone
-"""The pulses last a few milliseconds and must not be delayed by other tests."""
 TRIES = 5
 """Number of attempts to measure a pulse. The expected length is 12 ms: a striker speed of 0.6 m/s
 requires 20 mJ, and 20 mJ require a pulse of 12 ms. The emulated robot measures the length from the

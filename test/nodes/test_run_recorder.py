@@ -51,8 +51,6 @@ from tapping_cell.report.run_folder import read_run
 from tapping_cell.report.run_reader import read_illustrated_run
 from tapping_cell.se2 import Pose
 
-pytestmark = pytest.mark.alone
-
 START, GOAL = Pose(0.0, 0.0, 0.0), Pose(0.02, 0.0, 0.1)
 
 
