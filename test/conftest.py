@@ -14,7 +14,7 @@ from tapping_cell.cli.graph import own_domain
 # The duration of an example depends mainly on the load of the machine, so it is not limited. A push
 # tries a few examples of each property, a campaign many. A test with slow examples tries a fixed
 # share of `settings.default.max_examples`.
-for profile, examples in (("default", 25), ("campaign", 1000)):
+for profile, examples in (("default", 15), ("campaign", 1000)):
     settings.register_profile(
         profile,
         max_examples=examples,
