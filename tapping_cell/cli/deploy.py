@@ -71,6 +71,9 @@ class PlannedFile:
     link: bool = False
     cell: bool = False
     """Whether it is a copy of a cell file or of a file that it names, and may be calibrated."""
+    deployed: str | None = None
+    """Digest of the content that ``deploy`` wrote; None if ``text`` is that content, and not a
+    later calibration of it."""
 
     def act(self, places: Places, replaces: bool) -> str:
         """Return what is done: ``keep``, ``write``, or ``replace`` of a file that was changed or
@@ -463,16 +466,18 @@ def carry_out(
     present = places.version
     if present and any(file.path.name == VERSION and file.text != present for file in acts):
         content["previous"] = present
-        content["replaced"] = [
-            str(f.path) for f, act in acts.items() if act == "replace" and f.cell
-        ]
+        content["replaced"] = {
+            str(f.path): written.get(str(f.path), "")
+            for f, act in acts.items()
+            if act == "replace" and f.cell
+        }
     make_folder(places.configuration)
     write_list(places, MANIFEST, content)
     (places.configuration / LEFT).unlink(missing_ok=True)
     for file, act in acts.items():
         if act != "keep":
             file.write(places, act)
-            written[str(file.path)] = digest(file.text)
+            written[str(file.path)] = digest(file.text) if file.deployed is None else file.deployed
             # After an interruption, undeploy knows what was written until then.
             write_list(places, MANIFEST, content)
     for path in obsolete:
