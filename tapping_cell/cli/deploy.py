@@ -418,9 +418,11 @@ def started_by(places: Places) -> list[list[str]]:
 def available(commands: Sequence[list[str]]) -> list[list[str]]:
     """Return the commands that this computer has and that work now, without systemd and udev in a
     container."""
-    booted = Path("/run/systemd/system").is_dir()
-    alone = "systemd-sysusers", "userdel"
-    return [one for one in commands if shutil.which(one[0]) and (booted or one[0] in alone)]
+    works = {
+        "systemctl": Path("/run/systemd/system").is_dir(),
+        "udevadm": Path("/run/udev/control").exists(),
+    }
+    return [one for one in commands if shutil.which(one[0]) and works.get(one[0], True)]
 
 
 def unsuitable(live: bool) -> str:
