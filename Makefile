@@ -37,7 +37,7 @@ clean:
 	@find . -name .git -prune -o \( -name __pycache__ -o -name '*.egg-info' \) -type d -prune -exec rm -rf {} +
 
 reference:
-	@. ./env.sh; python environment/generate_messages.py; ruff format -q tapping_cell/messages; python environment/reference_pages.py; python environment/draw_state_machines.py; python environment/build_figures.py
+	@. ./env.sh; python environment/generate_messages.py; ruff format -q tapping_cell/messages; python environment/reference_pages.py; python environment/build_figures.py
 
 docs:
 	@. ./env.sh; python environment/build_site.py

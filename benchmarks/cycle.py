@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 from rich.console import Console
-from tapping_cell_msgs.msg import ArmState, ObjectState, PlanState, TapCommand, TapperState
+from tapping_cell_msgs.msg import ArmState, ObjectStates, PlanState, TapCommand, TapperState
 
 from benchmarks.rigs import simulated_graph
 from tapping_cell.cli import session
@@ -42,7 +42,7 @@ TOPICS = {
     "plan_state": (PlanState, LATCHED),
     "arm_state": (ArmState, LATCHED),
     "tapper_state": (TapperState, LATCHED),
-    "object_state": (ObjectState, 10),
+    "object_states": (ObjectStates, LATCHED),
 }
 
 
@@ -169,10 +169,11 @@ class Stopwatch:
         if message.outcome == TapperState.FIRED and math.isnan(tap.reported):
             tap.reported = stamp
 
-    def _object_state(self, tap: Tap, message: Any, stamp: float) -> None:
+    def _object_states(self, tap: Tap, message: Any, stamp: float) -> None:
         fired = not math.isnan(tap.reported)
-        if fired and message.at_rest and math.isnan(tap.at_rest):
-            since = _seconds(message.at_rest_since)
+        own = message.objects[0]
+        if fired and own.at_rest and math.isnan(tap.at_rest):
+            since = _seconds(own.at_rest_since)
             if since > tap.reported:
                 tap.at_rest = since
 

@@ -1,7 +1,7 @@
 """Accuracy and covariance on photographs of printed boards, compared with cv2.aruco.
 
-``--folder`` is a folder of photographs with a file ``board.yaml``, or a folder of such folders
-(docs/vision.md lists public sets). The camera is calibrated from all photographs, as by ``calibrate
+``--folder`` is a folder of photographs with a file ``board.yaml``, or a folder of such folders.
+The camera is calibrated from all photographs, as by ``calibrate
 camera``. In each photograph, a quarter of the board's markers are reference markers of the table,
 and every other marker is an object. The board states the true poses. The references either
 surround the objects, as in a cell, or are every fourth marker, which on many boards is one edge, so
@@ -11,6 +11,21 @@ that the pose of the table is extrapolated. ``board.yaml`` is one of:
     {kind: grid, columns: 4, rows: 5, marker: 0.0375, gap: 0.005, dictionary: 6X6_1000}
 
 A board that OpenCV drew before version 4.6 also has ``legacy: true``. Lengths are in m.
+
+Public sets (repository, folder, board):
+
+- PhotonVision/photonvision, ``test-resources/calibrationCharucoImg/lifecam`` (webcam, two
+  resolutions, board on a screen): charuco 8 x 8, 4X4_1000, square 0.0254, marker 0.01905; legacy
+  for ``Old_Pattern``
+- rlav440/pyCamSet, ``tests/test_data/calibration_charuco`` (three cameras of a laboratory):
+  charuco 20 x 20, 4X4_1000, square 0.004, marker 0.0032
+- abakisita/camera_calibration, ``aruco_data`` (webcam, printed grid on paper that is not flat):
+  grid 4 x 5, 6X6_1000, marker 0.0375, gap 0.005
+- jpjp210202/Hand-Eye-Calibration-Doosan-A0509-IntelRealSenseA457-ChArUco,
+  ``data/intrinsics_images`` (board on cardboard): charuco 7 x 5, 4X4_50, square 0.03, marker 0.021
+
+The views of some sets do not determine the focal length well enough; ``calibrate camera`` refuses
+them.
 """
 
 from __future__ import annotations

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from tapping_cell_msgs.msg import ObjectState
+from tapping_cell_msgs.msg import ObjectStates
 
 from tapping_cell.cli.graph import Graph, with_own_ports
 from tapping_cell.nodes.cell_node import LATCHED
@@ -59,10 +59,14 @@ def wait_until(
 def wait_for_rest(graph: Graph) -> None:
     """Wait until the camera has seen the object at rest. The node that waits ends before this
     function returns, so that it does not add to the load of the graph."""
-    states: list[ObjectState] = []
+    states: list[ObjectStates] = []
     with ClientNode("waiting_for_rest") as client:
-        client.node.create_subscription(ObjectState, "object_state", states.append, LATCHED)
-        wait_until(lambda: states and states[-1].at_rest, "the object was not seen at rest", graph)
+        client.node.create_subscription(ObjectStates, "object_states", states.append, LATCHED)
+        wait_until(
+            lambda: states and states[-1].objects[0].at_rest,
+            "the object was not seen at rest",
+            graph,
+        )
 
 
 def cpu_seconds(pid: int) -> float:

@@ -9,11 +9,15 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import importlib
 import inspect
 import json
+import re
 import types
 import typing
-from collections.abc import Callable, Iterator, Mapping
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from enum import Enum
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +28,8 @@ from tapping_cell.configuration.cell import CellFile
 from tapping_cell.configuration.objects import ObjectFile
 from tapping_cell.configuration.table import TableFile
 from tapping_cell.conformance import arm, camera, planner, tapper
+from tapping_cell.logic import arm_states, planner_states, tapper_states
+from tapping_cell.logic.transitions import diagram
 from tapping_cell.report import error_codes
 from tapping_cell.report.columns import declared
 from tapping_cell.report.run import TapRow
@@ -39,6 +45,8 @@ from tapping_cell.report.tables import (
 )
 from tapping_cell.simulation.truth import TruthFile
 
+SHARED_BY = 3
+"""Number of verbs with the same option from which the page lists it once."""
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 _HEAD = """# Commands
 
@@ -67,6 +75,11 @@ To operate a running cell, the command `ros2` is not needed: [status](#status), 
 does, in the ROS domain of `ROS_DOMAIN_ID`.
 
 `make reference` writes this page.
+
+## Shared options
+
+Several verbs have these options:
+
 """
 _ERROR_CODES = """# Error codes
 
@@ -76,74 +89,8 @@ page also show the remedy.
 
 `make reference` writes this page from `msg_defs/msg/ErrorCode.msg`.
 """
-_TAPS = """# taps.csv
-
-One row a tap. Each name ends with its unit; poses are in the frame `table`, and unknown values are
-`nan`. Times are in s since the start of the run. Files of earlier versions may lack columns.
-
-`make reference` writes this page from `report/run.py`.
-
-| columns | meaning |
-| --- | --- |
-"""
-_TABLES = """# Tables of trials, runs and taps
-
-Each table is a CSV file with one row for each trial, run or tap. The names of the columns end with
-the unit, and unknown numbers are `nan`. If pyarrow is installed (`pip install .[parquet]`), the
-same table is also written as a Parquet file beside it. To read a table back:
-
-```python
-import pandas
-
-trials = pandas.read_csv("comparison/trials.csv")
-print(trials.groupby("method").taps.describe())
-```
-
-`make reference` writes this page from `report/tables.py`.
-
-| table | one row for each | written by |
-| --- | --- | --- |
-| `trials.csv` | trial of a simulation | `evaluate --report DIR` |
-| `scenes.csv` | scene of several objects | `evaluate --arrange N --report DIR` |
-| `sweep.csv` | point of a sweep | `evaluate --sweep ... --report DIR` |
-| `runs.csv` | run folder | `report runs/* --output DIR` |
-| `runs_taps.csv` | tap of these runs | `report runs/* --output DIR` |
-| `single_taps.csv` | trial of single taps | `fit RECORDS ... --report DIR` |
-"""
-_NOTES = {
-    TRIALS: """For a cell with fixed tappers, the first column is `start_angle_deg`. For a sweep,
-the first columns are those of the swept parameters, such as `tolerance_mm_deg` and
-`rotation_scatter_percent`.
-
-""",
-    SWEEP: "The first columns are those of the swept parameters.\n\n",
-}
-_TABLES_END = """
-## runs_taps.csv
-
-`run`, the name of the run, and the columns of [taps.csv](taps.md). The bag of each run
-([run folders](../runs.md#the-bag)) has all topics as MCAP. To read its images, with their times:
-
-```python
-from pathlib import Path
-
-import cv2
-from rosbags.highlevel import AnyReader
-
-images = {}
-for folder in Path("runs").glob("*/bag"):
-    with AnyReader([folder]) as bag:
-        cameras = [each for each in bag.connections if each.topic.endswith("/compressed")]
-        for connection, nanoseconds, raw in bag.messages(cameras):
-            message = bag.deserialize(raw, connection.msgtype)
-            images[folder, nanoseconds] = cv2.imdecode(message.data, cv2.IMREAD_COLOR)
-```
-
-## single_taps.csv
-
-`records` (folder of the records), the [columns of the records](../calibration.md#the-records) in
-SI units, and `used`, whether the fit used the trial.
-"""
+_BLOCK = re.compile(r"(?<=<!-- make reference: )([\w.]+)( -->\n).*?(?=<!-- end -->)", re.DOTALL)
+"""Part of a page that is written here, between two comments, the first with the part's name."""
 _HUNDREDS = {
     1: "goals and commands",
     2: "configuration",
@@ -158,12 +105,14 @@ _HUNDREDS = {
 def commands_page() -> str:
     """Return the page on all verbs and options, generated from the parsers."""
     statuses = (f"| {status.value} | {MEANINGS[status]} |\n" for status in ExitStatus)
-    parts = [_HEAD, *statuses, _AFTER_STATUSES]
+    parsers = {verb: verb_parser(verb)[0] for verb in VERBS}
+    counts = Counter(row for parser in parsers.values() for row in _all_rows(parser))
+    shared = _shared(counts)
+    parts = [_HEAD, *statuses, _AFTER_STATUSES, *_option_rows(shared)]
     for verb, text in VERBS.items():
-        parser, _ = verb_parser(verb)
         parts.append(f"\n## `{verb}`\n\n{text[0].upper()}{text[1:]}.\n")
-        parts += [f"\n    {line}\n" for line in examples(parser)[:1]]
-        parts += _tables(parser)
+        parts += [f"\n    {line}\n" for line in examples(parsers[verb])[:1]]
+        parts += _tables(parsers[verb], shared)
     return "".join(parts)
 
 
@@ -173,20 +122,50 @@ def examples(parser: argparse.ArgumentParser) -> list[str]:
     return [line.strip() for line in lines if line.strip().startswith("python -m tapping_cell ")]
 
 
-def _tables(parser: argparse.ArgumentParser) -> Iterator[str]:
-    rows = []
-    inner: list[tuple[str, argparse.ArgumentParser]] = []
+def _shared(counts: Counter[tuple[str, str]]) -> list[tuple[str, str]]:
+    """Return the options that several verbs share; if one has several texts, the most frequent."""
+    frequent: dict[str, tuple[str, str]] = {}
+    for row, count in counts.most_common():
+        if count >= SHARED_BY:
+            frequent.setdefault(row[0].split(" ")[0], row)
+    return sorted(frequent.values())
+
+
+def _option_rows(rows: Iterable[tuple[str, str]]) -> Iterator[str]:
+    yield from (f"- {name}: {text}\n" for name, text in rows)
+
+
+def _all_rows(parser: argparse.ArgumentParser) -> Iterator[tuple[str, str]]:
+    """Yield name and text of each option of a verb and of its subcommands."""
+    yield from _rows(parser)
+    for _, own in _subcommands(parser):
+        yield from _all_rows(own)
+
+
+def _rows(parser: argparse.ArgumentParser) -> Iterator[tuple[str, str]]:
+    for action in parser._actions:
+        if not isinstance(action, (argparse._SubParsersAction, argparse._HelpAction)):
+            yield _name(action), _text(action.help) + _default(action)
+
+
+def _subcommands(parser: argparse.ArgumentParser) -> Iterator[tuple[str, argparse.ArgumentParser]]:
     for action in parser._actions:
         if isinstance(action, argparse._SubParsersAction):
-            inner += list(action.choices.items())
-        elif not isinstance(action, argparse._HelpAction):
-            rows.append(f"| {_name(action)} | {_default(action)} | {_text(action.help)} |\n")
-    if rows:
-        yield "\n| option | default | meaning |\n| --- | --- | --- |\n"
-        yield from rows
-    for name, own in inner:
+            yield from action.choices.items()
+
+
+def _tables(parser: argparse.ArgumentParser, shared: list[tuple[str, str]]) -> Iterator[str]:
+    rows = list(_rows(parser))
+    own = [row for row in rows if row not in shared]
+    if own:
+        yield "\n"
+        yield from _option_rows(own)
+    if len(own) < len(rows):
+        names = ", ".join(name.split(" ")[0] for name, text in rows if (name, text) in shared)
+        yield f"\n[Shared options](#shared-options): {names}\n"
+    for name, inner in _subcommands(parser):
         yield f"\n### `{parser.prog.rsplit(' ', 1)[-1]} {name}`\n"
-        yield from _tables(own)
+        yield from _tables(inner, shared)
 
 
 def _name(action: argparse.Action) -> str:
@@ -199,14 +178,18 @@ def _name(action: argparse.Action) -> str:
 
 
 def _default(action: argparse.Action) -> str:
+    """Return the default in brackets, unless the option's text gives it."""
     value = action.default
     if value in (None, False, "", [], argparse.SUPPRESS) or not action.option_strings:
         return ""
-    return " ".join(map(str, value)) if isinstance(value, (tuple, list)) else str(value)
+    if "default: " in (action.help or ""):
+        return ""
+    shown = " ".join(map(str, value)) if isinstance(value, (tuple, list)) else str(value)
+    return f" (default: {shown})"
 
 
 def _text(words: str | None) -> str:
-    return (words or "").replace("%%", "%").replace("|", "\\|")
+    return (words or "").replace("%%", "%")
 
 
 def options_file() -> str:
@@ -238,8 +221,8 @@ def error_codes_page() -> str:
             parts.append(f"\n## {hundred}xx: {_HUNDREDS[hundred]}\n")
         if number:
             parts.append(
-                f"\n### {number} {code.name}\n\n- **Symptom.** {_sentence(code.symptom)}\n"
-                f"- **Cause.** {code.cause}\n- **Remedy.** {code.remedy}\n"
+                f"\n### {number} {code.name}\n\n{_sentence(code.symptom)}\n\n"
+                f"- Cause: {code.cause}\n- Remedy: {code.remedy}\n"
             )
     return "".join(parts)
 
@@ -251,25 +234,26 @@ def _sentence(text: str) -> str:
 _CONFIGURATION = """# Configuration files
 
 This page lists every key of every YAML file that the cell reads. Values are in SI units and
-radians. Unknown keys, missing keys, wrong types and values out of range are refused with a message
-that names file, key, value and range. `python -m tapping_cell check-config` checks all files, and
-the consistency between them, without starting any node. The files in [config/](../../config) are
-complete examples. [nodes.md](../nodes.md) lists the ROS parameters of the nodes.
+radians. A key that has no default and is not optional is required. Unknown keys, missing keys,
+wrong types and values out of range are refused with a message that names file, key, value and
+range. `python -m tapping_cell check-config` checks all files, and the consistency between them,
+without starting any node. The files in [config/](../config) are complete examples.
+[nodes.md](nodes.md) lists the ROS parameters of the nodes.
 
 Plain values follow YAML 1.2: numbers are decimal, and `yes` or `on` is a text. Notations that some
 programs read as another number (`011`, `0x1F`, `1_000`, `1:30`) are refused with their line, as are
 values that contradict each other or physics.
 
-![Dimensions of the arm and the striker](../images/arm_dimensions.svg)
+![Dimensions of the arm and the striker](images/arm_dimensions.svg)
 
 `make reference` writes this page from the declarations in the code.
 """
-_CONTRACTS = """# Contracts of the nodes
+_CONTRACTS = """# Contracts and state machines of the nodes
 
 Any node of the cell can be replaced by one of your own: a pose estimator, the driver of another
 arm, a planner in another language. The substitute has the topics, services and QoS of
-[nodes.md](../nodes.md#topics) and fulfils the duties below. They are what the other nodes rely on
-([safety.md](../safety.md)); how the substitute does it is its own affair.
+[nodes.md](nodes.md#topics) and fulfils the duties below, on which the other nodes rely
+([safety.md](safety.md)).
 
     python -m tapping_cell conformance scara_arm
 
@@ -279,14 +263,16 @@ Run only the node under test in this ROS domain, with `sim_world` if its device 
 `scara_arm` move the arm over the table, and those of `tapper_trigger` fire the striker: clear the
 table, and keep away. After the last duty, the stop, a person presses the clear button.
 
-Examples: [pose_estimator.py](../../examples/own_nodes/pose_estimator.py) takes the poses of a
-motion-capture system; [pick_list.py](../../examples/own_nodes/pick_list.py) sends goals to the
+Examples: [pose_estimator.py](../examples/own_nodes/pose_estimator.py) takes the poses of a
+motion-capture system; [pick_list.py](../examples/own_nodes/pick_list.py) sends goals to the
 planner.
 
-Three rules hold for every node. Times are compared by stamps in ROS time, so that a message that
-waited in a queue counts as old. Only one node publishes a state or command of a cell; while two do,
-nothing is charged, fired or moved (error 205). A `tap_id` is used once, and ids increase, even
-after a restart.
+Three rules hold for every node:
+
+- Times are compared by stamps in ROS time, so that a message that waited in a queue counts as old.
+- Only one node publishes a state or command of a cell; while two do, nothing is charged, fired or
+  moved (error 205).
+- A `tap_id` is used once, and ids increase, even after a restart.
 
 `make reference` writes this page.
 """
@@ -305,6 +291,34 @@ FILES: tuple[tuple[str, str, type], ...] = (
         TruthFile,
     ),
 )
+_STATE_MACHINES = """
+## State machines
+
+The diagrams come from the tables in `tapping_cell/logic`, without the transitions that most states
+have in common. A transition that is not shown is not permitted: if it occurred, the node would
+enter a safe state and report code 904.
+"""
+_Rules = Mapping[tuple[Any, Any], frozenset[Any]]
+_MACHINES: dict[str, tuple[str, _Rules, Enum]] = {
+    "Arm": (
+        """In `Leaving` the arm waits until its promise to stand still has ended; `arm_state`
+reports this state as WITHDRAWING. `Inactive` is reported as FAULT with code 903.""",
+        arm_states.TABLE,
+        arm_states.State.DISCONNECTED,
+    ),
+    "Tapper": (
+        """In `Waiting` the tapper has a tap and waits for the arm; `tapper_state` reports this
+state as SAFE. In `Charged` the tapper requests the arm's promise to stand still.""",
+        tapper_states.TABLE,
+        tapper_states.State.DISCONNECTED,
+    ),
+    "Planner": (
+        """The planner does not latch a stop. A stop ends the goal, and further goals are refused
+while arm or tapper reports a stop or a fault.""",
+        planner_states.TABLE,
+        planner_states.State.IDLE,
+    ),
+}
 _PARTS = {
     camera: "measures the pose of the object",
     planner: "chooses the taps",
@@ -334,7 +348,7 @@ def _section_tables(kind: type, prefix: str, title: str, written: dict[type, str
     once."""
     hints = typing.get_type_hints(kind)
     inner: list[tuple[str, type]] = []
-    yield "\n| key | type | unit and range | default | meaning |\n| --- | --- | --- | --- | --- |\n"
+    yield "\n"
     for entry in dataclasses.fields(kind):
         limits = entry.metadata["limits"]
         held = _sections_in(hints[entry.name])
@@ -348,16 +362,19 @@ def _section_tables(kind: type, prefix: str, title: str, written: dict[type, str
                 inner.append((name, held))
             else:
                 meaning += f"; keys as in `{known}`"
-        default = entry.default
-        shown = "required" if default is dataclasses.MISSING else _value_text(default)
-        yield (
-            f"| `{name}` | {_type_text(hints[entry.name])} | {_escaped(limits.range_text())} "
-            f"| {shown} | {_escaped(meaning)} |\n"
-        )
+        yield f"- `{name}` ({_values(entry, _type_text(hints[entry.name]))}): {meaning}\n"
     for name, held in inner:
         first = (inspect.getdoc(held) or "").split("\n\n")[0].replace("\n", " ")
         yield f"\n### `{name}` ({title.lower()})\n\n{first}\n"
         yield from _section_tables(held, f"{name}.", title, written)
+
+
+def _values(entry: dataclasses.Field[Any], kind: str) -> str:
+    """Return range, unit and default of a key or parameter of the given kind."""
+    allowed = str(entry.metadata["limits"].range_text()).replace("one of , ", "one of ")
+    values = allowed if kind in ("number", "text") else f"{kind}, {allowed}"
+    values = values.strip(", ") or kind
+    return values if entry.default is dataclasses.MISSING else values + _default_text(entry.default)
 
 
 def _sections_in(hint: Any) -> type | None:
@@ -383,25 +400,21 @@ def _type_text(hint: Any) -> str:
     return names.get(hint, "text")
 
 
+def _default_text(value: Any) -> str:
+    empty = value in (None, "", ()) or dataclasses.is_dataclass(value)
+    return "; optional" if empty else f"; default {_value_text(value)}"
+
+
 def _value_text(value: Any) -> str:
-    if value is None:
-        return "none"
-    if dataclasses.is_dataclass(value):
-        return "its defaults"
     if isinstance(value, tuple):
         return f"[{', '.join(map(_value_text, value))}]"
     if isinstance(value, float):
         return f"{value:.6g}"
-    return str(value).lower() if isinstance(value, bool) else str(value) or "(empty)"
+    return str(value).lower() if isinstance(value, bool) else str(value)
 
 
 def _escaped(words: str) -> str:
     return words.replace("|", "\\|")
-
-
-def taps_page() -> str:
-    """Return the page on the columns of ``taps.csv``, generated from ``TapRow``."""
-    return _TAPS + "".join(_columns_of(TapRow))
 
 
 def _columns_of(kind: type) -> Iterator[str]:
@@ -410,44 +423,103 @@ def _columns_of(kind: type) -> Iterator[str]:
             yield from _columns_of(typing.cast(type, each.default_factory))
         else:
             headers = ", ".join(f"`{column.header}`" for column in columns.columns)
-            yield f"| {headers} | {columns.meaning} |\n"
+            yield f"- {headers}: {columns.meaning}\n"
 
 
 def contracts_page() -> str:
-    """Return the page on the duties of the nodes, generated from their checks."""
+    """Return the page on the duties of the nodes, generated from their checks, and on their
+    state machines."""
     parts = [_CONTRACTS]
     for part, title in _PARTS.items():
         parts.append(f"\n## `{part.NODE}`: {title}\n\n| duty | text |\n| --- | --- |\n")
         parts += [f"| {duty.number} | {_escaped(duty.text)} |\n" for duty in part.DUTIES]
+    parts.append(_STATE_MACHINES)
+    for title, (text, rules, initial) in _MACHINES.items():
+        parts.append(f"\n### {title}\n\n{text}\n\n{_state_machine(rules, initial)}")
     return "".join(parts)
 
 
-def tables_page() -> str:
-    """Return the page on the tables of trials, runs and taps."""
-    parts = [_TABLES]
+def _state_machine(rules: _Rules, initial: Enum) -> str:
+    """Return the transitions that most states have in common as a list, and the others as a
+    diagram."""
+    states: set[Enum] = set(type(initial))
+    starts: dict[tuple[Any, Any], set[Any]] = {}
+    for (state, event), targets in rules.items():
+        for target in targets:
+            starts.setdefault((event, target), set()).add(state)
+    common = {each for each, begins in starts.items() if 2 * len(begins) > len(states)}
+    lines: dict[str, list[str]] = {}
+    for event, target in sorted(common, key=lambda each: (each[0].value, each[1].value)):
+        others = sorted(state.value for state in states - starts[event, target])
+        begin = f"every state except {', '.join(others)}" if others else "every state"
+        lines.setdefault(begin, []).append(f"{event.value} → {target.value}")
+    rest = {
+        (state, event): frozenset(each for each in targets if (event, each) not in common)
+        for (state, event), targets in rules.items()
+    }
+    shared = "".join(f"- From {begin}: {'; '.join(lines[begin])}\n" for begin in sorted(lines))
+    return f"{shared}\n```mermaid\n{diagram(rest, initial)}\n```\n"
+
+
+def runs_page() -> str:
+    """Return the page on run folders, in which the columns of the tables are generated."""
     tables = {
         TRIALS: METHOD | TRIAL_COLUMNS,
         SCENES: SCENE_COLUMNS,
         SWEEP: COLUMNS,
         RUNS: RUN_COLUMNS,
     }
-    for name, columns in tables.items():
-        parts.append(f"\n## {name}\n\n{_NOTES.get(name, '')}| column | meaning |\n| --- | --- |\n")
-        parts += [f"| `{column}` | {meaning} |\n" for column, meaning in columns.items()]
-    return "".join([*parts, _TABLES_END])
+    rows = {
+        name: [f"- `{column}`: {meaning}\n" for column, meaning in columns.items()]
+        for name, columns in tables.items()
+    }
+    rows["taps.csv"] = list(_columns_of(TapRow))
+
+    return _filled(DOCS / "runs.md", rows)
 
 
+def nodes_page() -> str:
+    """Return the page on the nodes, in which their parameters are generated. Needs ROS."""
+    from tapping_cell.nodes import MODULES
+
+    rows = {
+        node: list(_parameter_rows(importlib.import_module(module).Parameters))
+        for node, module in MODULES.items()
+    }
+    first, *others = rows.values()
+    shared = [row for row in first if all(row in other for other in others)]
+    own = {node: [row for row in lines if row not in shared] for node, lines in rows.items()}
+    return _filled(NODES, {"every_node": shared} | own)
+
+
+def _parameter_rows(kind: type) -> Iterator[str]:
+    hints = typing.get_type_hints(kind)
+    for each in dataclasses.fields(kind):
+        values = _values(each, _type_text(hints[each.name]))
+        yield f"- `{each.name}` ({values}): {each.metadata['limits'].description}\n"
+
+
+def _filled(page: Path, parts: Mapping[str, list[str]]) -> str:
+    """Return the text of a page with its generated parts."""
+
+    def part(block: re.Match[str]) -> str:
+        name, end = block.groups()
+        return "".join([name, end, "\n", *parts[name], "\n"])
+
+    return _BLOCK.sub(part, page.read_text(encoding="utf-8"))
+
+
+NODES = DOCS / "nodes.md"
 PAGES: dict[Path, Callable[[], str]] = {
     DOCS / "commands.md": commands_page,
-    DOCS / "reference" / "configuration.md": configuration_page,
+    DOCS / "configuration.md": configuration_page,
     DOCS / "error_codes.md": error_codes_page,
-    DOCS / "reference" / "contracts.md": contracts_page,
-    DOCS / "reference" / "tables.md": tables_page,
-    DOCS / "reference" / "taps.md": taps_page,
+    DOCS / "contracts.md": contracts_page,
+    DOCS / "runs.md": runs_page,
     DOCS.parent / "tapping_cell" / "cli" / "options.json": options_file,
 }
 
 
 if __name__ == "__main__":
-    for file, text in PAGES.items():
+    for file, text in (PAGES | {NODES: nodes_page}).items():
         file.write_text(text(), encoding="utf-8")

@@ -4,13 +4,13 @@ results.
     python environment/run_tests.py [pytest options]
 
 The pure ring is limited by the processor and does not depend on time, so it runs beside the others,
-with what they leave of the processor. The other rings run in real time, one after the other: the
-rings of the drivers and of the nodes mostly wait and distribute their tests to several processes;
-tests of nodes that are marked ``alone`` process images at the camera's rate, and the graph tests
-run all nodes. Every ring runs even if an earlier ring failed. A test that runs in real time may
-fail because another program kept the processor from it, so the failed ones are repeated once, when
-nothing else runs; one that then passes is printed as repeated. At the end, the processor time of
-each ring and the ten slowest tests are printed. The last line contains the counts of all rings.
+with what they leave of the processor. The other rings run in real time, one after the other: those
+of the drivers and of the nodes mostly wait and distribute their tests to several processes; the
+graph tests run all nodes. Every ring runs even if an earlier ring failed. A test that runs in real
+time may fail because another program kept the processor from it, so the failed ones are repeated
+once, when nothing else runs; one that then passes is printed as repeated. At the end, the processor
+time of each ring and the ten slowest tests are printed. The last line contains the counts of all
+rings.
 """
 
 from __future__ import annotations
@@ -33,8 +33,7 @@ ROOT = Path(__file__).resolve().parent.parent
 RINGS: dict[str, tuple[str, ...]] = {
     "pure": ("pure", "-n", "2"),
     "pty": ("pty", "-n", "3"),
-    "nodes": ("nodes", "-m", "not alone", "-n", "2"),
-    "nodes, alone": ("nodes", "-m", "alone"),
+    "nodes": ("nodes", "-n", "3", "--dist", "loadfile"),
     "graph": ("graph",),
 }
 # The ring that runs beside the others.

@@ -262,11 +262,3 @@ class TableTrial(Trial):
                 continue
             self.oracle.note_hand(name)
             self.physical.table.place(name, self.physical.table.free_pose(name))
-
-    # Messages
-
-    def _on_handled(self, process: str, topic: str, message: Any) -> None:
-        super()._on_handled(process, topic, message)
-        if process == "tapper_trigger" and topic == "object_states":
-            for state in message.objects[1:]:
-                self.oracle.on_sight(state)

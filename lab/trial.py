@@ -101,8 +101,8 @@ STATE = Quality(latched=True, depth=1)
 QUALITIES = {
     "arm_state": STATE,
     "tapper_state": STATE,
-    "object_state": STATE,
     "object_states": STATE,
+    "unknown_objects": STATE,
     "plan_state": STATE,
     "markers": STATE,
     "camera/pose": STATE,
@@ -112,9 +112,8 @@ QUALITIES = {
 SUBSCRIPTIONS = {
     "tap_planner": (
         "goal_pose",
-        "object_state",
         "object_states",
-        "other_objects",
+        "unknown_objects",
         "camera/pose",
         "arm_state",
         "tapper_state",
@@ -133,7 +132,6 @@ SUBSCRIPTIONS = {
         "tap_command",
         "arm_state",
         "plan_state",
-        "object_state",
         "object_states",
         "enabling",
         "emergency_stop",
@@ -508,7 +506,7 @@ class Trial:
             np.random.default_rng([self.seed, 3]),
             self._observe,
             lambda: self.clocks["camera_pose"].now().ros,
-            lambda state: self.network.publish("camera_pose", "object_state", state),
+            lambda states: self.network.publish("camera_pose", "object_states", states),
             self.cell.object.name,
             CAMERA_SIGMA,
         )
@@ -887,8 +885,8 @@ class Trial:
 
     def _state_for(self, tap_id: int) -> ObjectState | None:
         """Return the last published state of the object of a tap."""
-        state: ObjectState | None = self._last("object_state")
-        return state
+        states: ObjectStates | None = self._last("object_states")
+        return None if states is None else states.objects[0]
 
     def _fit_to_object(self, command: TapCommand, model: TapCommand, there: Pose) -> None:
         """Move the poses of a tap command with the object. ``there``: motion of the object since

@@ -4,7 +4,7 @@
 # Friction, torque factor and impact of an object follow from single taps: strike the object at
 # a few speeds and angles, measure how far it slides and rotates, and fit the model. Here the
 # simulated world makes the taps, with parameters that the fit does not know. On a cell,
-# `single-tap` records them, and `object fit` does the rest (docs/single_tap.md).
+# `single-tap` records them, and `object fit` does the rest (docs/objects.md).
 
 # %%
 import math

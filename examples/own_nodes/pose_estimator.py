@@ -1,6 +1,6 @@
 """A pose estimator of your own in place of ``camera_pose``: poses of a motion-capture system.
 
-It converts ``mocap_pose`` (geometry_msgs/PoseStamped in ``table``) to ``object_state``. Check it
+It converts ``mocap_pose`` (geometry_msgs/PoseStamped in ``table``) to ``object_states``. Check it
 with
 
     python -m tapping_cell conformance camera_pose
@@ -29,7 +29,6 @@ class PoseEstimator(Node):
         super().__init__("pose_estimator")
         self.name = self.declare_parameter("object", "aluminium disk").value
         self.track = Track(RestSettings())
-        self.state = self.create_publisher(ObjectState, "object_state", LATCHED)
         self.states = self.create_publisher(ObjectStates, "object_states", LATCHED)
         self.create_subscription(PoseStamped, "mocap_pose", self.on_pose, 10)
 
@@ -46,7 +45,6 @@ class PoseEstimator(Node):
         state.pose.covariance = covariance_to_message(motion.covariance)
         vx, vy, state.velocity.angular.z = map(float, motion.velocity)
         state.velocity.linear.x, state.velocity.linear.y = vx, vy
-        self.state.publish(state)
         self.states.publish(ObjectStates(header=state.header, objects=[state]))
 
 

@@ -325,7 +325,7 @@ def _deactivate(rng: np.random.Generator, trial: FaultTarget) -> Made:
 LINKS = {
     "arm_state": ("tap_planner", "tapper_trigger"),
     "tapper_state": ("tap_planner", "scara_arm"),
-    "object_state": ("tap_planner", "tapper_trigger"),
+    "object_states": ("tap_planner", "tapper_trigger"),
     "plan_state": ("tapper_trigger",),
     "tap_command": ("scara_arm", "tapper_trigger"),
     "hold_still": ("request", "answer"),

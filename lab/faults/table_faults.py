@@ -29,7 +29,7 @@ without observation, the planner assumes that an object was removed."""
 LINKS = (
     ("object_states", "tap_planner"),
     ("object_states", "tapper_trigger"),
-    ("other_objects", "tap_planner"),
+    ("unknown_objects", "tap_planner"),
 )
 
 

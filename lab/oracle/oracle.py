@@ -29,6 +29,7 @@ from tapping_cell.messages import (
     HoldStill,
     JointTrajectory,
     ObjectState,
+    ObjectStates,
     PlanState,
     PositionObject,
     TapCommand,
@@ -329,10 +330,11 @@ class Oracle:
             return
         elif topic in ("arm_state", "plan_state"):
             self._heard[topic] = now
-        elif isinstance(message, ObjectState):
-            if message.error_code not in BLIND:
+        elif isinstance(message, ObjectStates):
+            if message.objects[0].error_code not in BLIND:
                 self._heard["camera"] = now
-            self.on_sight(message)
+            for state in message.objects:
+                self._on_sight(state)
         elif topic == "tap_command" and message.request == TapCommand.TAP:
             taken = self._taken.setdefault(message.tap_id, [])
             if not taken or taken[-1].header.stamp != message.header.stamp:
@@ -344,7 +346,7 @@ class Oracle:
             if message.tap_id in self._taken:
                 self._ended.setdefault(message.tap_id, now)
 
-    def on_sight(self, state: ObjectState) -> None:
+    def _on_sight(self, state: ObjectState) -> None:
         """Record the pose of an object that the tapper's process has received."""
         if state.visible:
             pose = from_message(state.pose.pose)

@@ -1,4 +1,4 @@
-"""Model of the camera and its node in virtual time; publishes ``object_state`` for each frame.
+"""Model of the camera and its node in virtual time; publishes ``object_states`` for each frame.
 
 The pose in each frame is the ground truth with noise. Rest, fusion and covariance are computed by
 the tracker of the product (``vision.rest_detection``). No images are rendered.
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from lab.virtual_cell.scheduler import Scheduler
 from tapping_cell.logic.clock import to_nanoseconds, to_stamp
 from tapping_cell.logic.poses import covariance_to_message, to_message
-from tapping_cell.messages import ErrorCode, ObjectState, PoseWithCovariance
+from tapping_cell.messages import ErrorCode, ObjectState, ObjectStates, PoseWithCovariance
 from tapping_cell.se2 import Pose
 from tapping_cell.vision.rest_detection import RestSettings, Track
 
@@ -46,7 +46,7 @@ class CameraFaults:
 
 
 class Camera:
-    """Publishes ``object_state`` through ``publish`` while the process of the camera's node runs.
+    """Publishes ``object_states`` through ``publish`` while the process of the camera's node runs.
 
     ``observe`` returns the true pose of the object at a time, or None while the arm covers it.
     ``ros_now`` returns the ROS time (ns) of the camera's computer. ``sigma``: standard deviation of
@@ -59,7 +59,7 @@ class Camera:
         rng: np.random.Generator,
         observe: Callable[[float], Pose | None],
         ros_now: Callable[[], int],
-        publish: Callable[[ObjectState], None],
+        publish: Callable[[ObjectStates], None],
         object_id: str,
         sigma: tuple[float, float, float],
     ) -> None:
@@ -115,7 +115,11 @@ class Camera:
 
     def _send(self, state: ObjectState) -> None:
         if self.alive:
-            self._publish(state)
+            self._publish(self._states_with(state))
+
+    def _states_with(self, own: ObjectState) -> ObjectStates:
+        """Return the message with the state of the cell's own object."""
+        return ObjectStates(header=own.header, objects=[own])
 
     def _state(self, stamp: int, code: int = 0) -> ObjectState:
         state = ObjectState(object_id=self._object_id, error_code=code)

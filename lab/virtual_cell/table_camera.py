@@ -20,6 +20,7 @@ from tapping_cell.messages import (
     PlanState,
     Point32,
     Polygon,
+    UnknownObjects,
 )
 from tapping_cell.se2 import Pose
 from tapping_cell.vision.other_objects import RoundRobin
@@ -32,12 +33,10 @@ NODE = "camera_pose"
 PERIOD_S, AWAITED_PERIOD_S = 0.5, 0.15
 """Time between two searches for objects without an object file, normally and while the planner
 waits for an observation, s."""
-BEFORE_FIRST_SEARCH = 1
-"""Time of the last search while there was none, ns."""
 
 
 class TableCamera(Camera):
-    """Publishes ``object_state``, ``other_objects`` and ``object_states``.
+    """Publishes ``object_states`` and ``unknown_objects``.
 
     ``observe_other`` returns the true pose of another object at a time, or None while the arm
     covers it. ``absent``: names of the objects that are not on the table. ``find_unknown`` returns
@@ -69,7 +68,7 @@ class TableCamera(Camera):
             rng,
             observe,
             ros_now,
-            lambda state: network.publish(NODE, "object_state", state),
+            lambda states: network.publish(NODE, "object_states", states),
             object_id,
             sigma,
         )
@@ -88,8 +87,8 @@ class TableCamera(Camera):
         self._found: dict[int, list[ObjectState]] = {}
         self._plan = PlanState()
         self._view_is_clear = False
-        self._searched_at = BEFORE_FIRST_SEARCH
-        self._unknown: list[Polygon] = []
+        self._searched_at = 0
+        self._unknown: UnknownObjects | None = None
         self._network.subscribe(NODE, "plan_state", self._on_plan_state)
         self._network.subscribe(NODE, "arm_state", self._on_arm_state)
 
@@ -126,10 +125,13 @@ class TableCamera(Camera):
         measured = all(state.header.stamp.sec for state in states)
         if self._view_is_clear and still and measured and due:
             self._searched_at = stamp
-            self._unknown = [
-                Polygon(points=[Point32(x=x, y=y) for x, y in outline])
-                for outline in self._find_unknown()
-            ]
+            self._unknown = UnknownObjects(
+                header=states[0].header,
+                outlines=[
+                    Polygon(points=[Point32(x=x, y=y) for x, y in outline])
+                    for outline in self._find_unknown()
+                ],
+            )
 
     def _observe_other(self, name: str, stamp: int, now: float) -> ObjectState:
         state = ObjectState(object_id=name)
@@ -147,16 +149,16 @@ class TableCamera(Camera):
         return state
 
     def _send(self, state: ObjectState) -> None:
-        super()._send(state)
-        if not self.alive or state.error_code == ErrorCode.CAMERA_SILENT:
-            return
         for other in self._found.pop(to_nanoseconds(state.header.stamp), []):
             self._sent[other.object_id] = other
-            self._network.publish(NODE, "other_objects", other)
-        states = ObjectStates(
-            header=state.header,
-            objects=[state, *self._sent.values()],
-            unknown_objects=self._unknown,
-            unknown_searched_at=to_stamp(self._searched_at),
+        super()._send(state)
+        if self.alive and self._unknown is not None:
+            self._network.publish(NODE, "unknown_objects", self._unknown)
+            self._unknown = None
+
+    def _states_with(self, own: ObjectState) -> ObjectStates:
+        return ObjectStates(
+            header=own.header,
+            objects=[own, *self._sent.values()],
+            searches_unknown_objects=True,
         )
-        self._network.publish(NODE, "object_states", states)

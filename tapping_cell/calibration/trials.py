@@ -7,7 +7,7 @@ A folder is one experiment::
     tracks/run_01_trial_03.csv    poses of the object over time, one file per trial (optional)
 
 The first line names the columns with their units: ``displacement_m`` or ``displacement_mm``. An
-empty cell means that the value was not measured. ``docs/calibration.md`` describes the columns. In
+empty cell means that the value was not measured. ``docs/objects.md`` describes the columns. In
 memory, all values are in SI units, and NaN means that the value was not measured.
 """
 
@@ -72,7 +72,7 @@ class Track:
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """One tap. SI; NaN if not measured. ``docs/calibration.md`` describes the fields.
+    """One tap. SI; NaN if not measured. ``docs/objects.md`` describes the fields.
 
     ``striker_speed`` is the commanded speed. ``incidence`` is the angle from the contact normal
     (into the object) to the striker's axis. ``contact_angle`` is the direction from the centre of

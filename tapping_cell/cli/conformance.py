@@ -1,5 +1,5 @@
 """Check whether a node fulfils its duties in the cell, such as a pose estimator, an arm node or a
-planner of your own. This program plays all other nodes. docs/reference/contracts.md lists the
+planner of your own. This program plays all other nodes. docs/contracts.md lists the
 duties.
 
 Start only this node, and sim_world if its devices are simulated. The arm moves over the table and

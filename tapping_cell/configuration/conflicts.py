@@ -91,7 +91,7 @@ def _heights(cell: Cell) -> Iterator[str]:
         yield (
             f"{path}: key 'arm.strike_height' is {1e3 * arm.strike_height:.1f} mm, below the tip's "
             f"radius of {1e3 * tapper.tip_radius:.1f} mm: the tip scrapes the table; "
-            "increase this value"
+            "increase this value, or halve 'tapper.tip_radius' if it is the tip's diameter"
         )
     if arm.travel_height <= max(arm.strike_height, cell.object.height):
         yield (

@@ -1,4 +1,4 @@
 """The duties of the cell's nodes, and checks that show whether a substitute for one fulfils them.
 
-``docs/reference/contracts.md`` lists the duties. A check plays all other nodes on a ``Stage``.
+``docs/contracts.md`` lists the duties. A check plays all other nodes on a ``Stage``.
 """

@@ -21,7 +21,7 @@ NODE = "scara_arm"
 STATES = "arm_state"
 LISTENS = (STATES,)
 """Topics of the node that the checks need."""
-PLAYS = ("tap_command", "tapper_state", "plan_state", "object_state")
+PLAYS = ("tap_command", "tapper_state", "plan_state", "object_states")
 """Topics that the checks publish."""
 PLACED_M, PLACED_RAD = 0.002, 0.05
 """Maximum difference between the strike pose and the tip that was read back."""
@@ -33,7 +33,7 @@ def begin(stage: Stage) -> Steps:
     """Play the other nodes, and bring the arm to IDLE."""
     stage.play("tapper_state", lambda: TapperState(header=stage.header(""), state=TapperState.SAFE))
     stage.play_planner()
-    stage.play("object_state", stage.object_state)
+    stage.play("object_states", stage.object_states)
     if not (yield from stage.until(lambda: stage.last(STATES), 5.0)):
         return "it publishes no arm_state"
     stage.emergency_stop(False)

@@ -13,11 +13,11 @@ import numpy as np
 from tapping_cell.conformance.stage import FRAME, Duty, Stage, Steps, check_rate
 from tapping_cell.logic.clock import to_nanoseconds
 from tapping_cell.logic.poses import covariance_from_message, from_message
-from tapping_cell.messages import ObjectState
+from tapping_cell.messages import ObjectState, ObjectStates
 
 NODE = "camera_pose"
-STATES = "object_state"
-LISTENS = (STATES, "object_states")
+STATES = "object_states"
+LISTENS = (STATES,)
 """Topics of the node that the checks need."""
 PLAYS = ()
 """Topics that the checks publish."""
@@ -29,36 +29,42 @@ DEVIATIONS = 5.0
 def begin(stage: Stage) -> Steps:
     """Wait until the object is seen at rest."""
     if not (yield from stage.until(lambda: stage.last(STATES), 5.0)):
-        return "it publishes no object_state"
+        return "it publishes no object_states"
 
     def at_rest() -> bool:
-        return bool(stage.last(STATES).visible and stage.last(STATES).at_rest)
+        state = _own(stage, stage.last(STATES))
+        return bool(state.visible and state.at_rest)
 
     if not (yield from stage.until(at_rest, 10.0)):
-        why = stage.last(STATES).error_msg or "it moves"
+        why = _own(stage, stage.last(STATES)).error_msg or "it moves"
         return f"it does not show the object at rest ({why}); put the object into view"
     return ""
 
 
-def _each(
-    judge: Callable[[Stage, ObjectState], str], topic: str = STATES
-) -> Callable[[Stage], Steps]:
-    """Return a check of each message within ``OBSERVED_S``; ``judge`` returns what is wrong."""
+def _own(stage: Stage, message: ObjectStates) -> ObjectState:
+    """Return the state of the cell's own object; that of another object if it has none."""
+    name = stage.cell.object.name
+    named = (state for state in message.objects if state.object_id == name)
+    return next(named, next(iter(message.objects), ObjectState()))
+
+
+def _each(judge: Callable[[Stage, ObjectState], str]) -> Callable[[Stage], Steps]:
+    """Return a check of each state within ``OBSERVED_S``; ``judge`` returns what is wrong."""
 
     def check(stage: Stage) -> Steps:
         begun = stage.now()
         yield from stage.pause(OBSERVED_S)
-        found = stage.received(topic, begun)
-        wrong = (judge(stage, message) for _, message in found)
-        return next(filter(None, wrong), "" if found else f"no {topic}")
+        found = stage.received(STATES, begun)
+        wrong = (judge(stage, _own(stage, message)) for _, message in found)
+        return next(filter(None, wrong), "" if found else f"no {STATES}")
 
     check.__doc__ = judge.__doc__
     return check
 
 
 def _reports(stage: Stage) -> Steps:
-    """Publishes `object_state` for each image, at least every 0.45 s, stamped with the exposure; no
-    stamp twice."""
+    """Publishes `object_states` for each image, at least every 0.45 s, stamped with the exposure;
+    no stamp twice."""
     if found := (yield from check_rate(stage, STATES, 0.45, 0.45)):
         return found
     stamps = [to_nanoseconds(message.header.stamp) for _, message in stage.received(STATES)]
@@ -104,7 +110,8 @@ def _stated(stage: Stage) -> Steps:
     """Poses at rest differ by no more than their covariances state."""
     begun = stage.now()
     yield from stage.pause(OBSERVED_S)
-    found = [s for _, s in stage.received(STATES, begun) if s.visible and s.at_rest]
+    states = (_own(stage, message) for _, message in stage.received(STATES, begun))
+    found = [state for state in states if state.visible and state.at_rest]
     if len(found) < 2:
         return "the object did not stay at rest"
     first = from_message(found[0].pose.pose)
@@ -125,7 +132,7 @@ def _lists(stage: Stage) -> Steps:
     """`object_states` has one state for each object of the cell."""
     begun = stage.now()
     yield from stage.pause(1.0)
-    found = stage.received("object_states", begun)
+    found = stage.received(STATES, begun)
     if not found:
         return "it publishes no object_states"
     names = [state.object_id for state in found[-1][1].objects]

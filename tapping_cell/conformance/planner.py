@@ -14,7 +14,6 @@ from tapping_cell.logic.poses import covariance_to_message, from_message, to_mes
 from tapping_cell.messages import (
     ArmState,
     ErrorCode,
-    ObjectState,
     ObjectStates,
     PlanState,
     PoseStamped,
@@ -27,7 +26,7 @@ NODE = "tap_planner"
 STATES = "plan_state"
 LISTENS = (STATES, "tap_command")
 """Topics of the node that the checks need."""
-PLAYS = ("arm_state", "tapper_state", "object_state", "object_states", "goal_pose")
+PLAYS = ("arm_state", "tapper_state", "object_states", "goal_pose")
 """Topics that the checks publish."""
 START, GOAL = Pose(-0.02, 0.01, 0.2), Pose(0.01, 0.02, 0.3)
 PLACING_S, FIRING_S, LEAVING_S = 0.5, 0.3, 0.4
@@ -103,14 +102,14 @@ class _Cell:
             interlock_closed=True,
         )
 
-    def seen(self) -> ObjectState:
+    def seen(self) -> ObjectStates:
         state = self.stage.object_state(self.pose, self.visible)
         if self.visible:
             state.at_rest_since = self.stage.stamp(-0.2)
             state.references_used = [marker.id for marker in self.stage.cell.references.markers]
             scatter = np.diag([SCATTER_M, SCATTER_M, SCATTER_RAD]) ** 2
             state.pose.covariance = covariance_to_message(scatter)
-        return state
+        return ObjectStates(header=state.header, objects=[state])
 
 
 def begin(stage: Stage) -> Steps:
@@ -133,12 +132,7 @@ def _play(stage: Stage) -> _Cell:
     cell = _Cell(stage, handled=len(stage.received("tap_command")))
     stage.play("arm_state", cell.arm, 0.03)
     stage.play("tapper_state", cell.tapper, 0.03)
-    stage.play("object_state", cell.seen, 0.03)
-    stage.play(
-        "object_states",
-        lambda: ObjectStates(header=stage.header(), objects=[cell.seen()]),
-        0.03,
-    )
+    stage.play("object_states", cell.seen, 0.03)
     return cell
 
 
@@ -274,17 +268,17 @@ def _stops(stage: Stage) -> Steps:
 
 
 def _one_authority(stage: Stage) -> Steps:
-    """Commands nothing while two nodes publish `object_state`; the goal ends with error 205."""
+    """Commands nothing while two nodes publish `object_states`; the goal ends with error 205."""
     cell = _play(stage)
-    stage.contest("object_state", cell.seen)
+    stage.contest("object_states", cell.seen)
     yield from stage.pause(1.5)
     sent = _send(stage)
     ended = yield from stage.until(lambda: _ended(stage, sent), GOAL_S)
     stage.end_contest()
     if _taps(stage, sent):
-        return "it commanded a tap while two nodes published object_state"
+        return "it commanded a tap while two nodes published object_states"
     if not ended:
-        return f"the goal had no end within {GOAL_S:.0f} s with two publishers of object_state"
+        return f"the goal had no end within {GOAL_S:.0f} s with two publishers of object_states"
     code = _end(stage, sent).error_code
     conflict = ErrorCode.CONFIGURATION_CONFLICT
     return "" if code == conflict else f"the goal ended with the error {code}, not 205"

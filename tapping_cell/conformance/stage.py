@@ -20,6 +20,7 @@ from tapping_cell.messages import (
     Header,
     HoldStill,
     ObjectState,
+    ObjectStates,
     PlanState,
     PoseWithCovariance,
     TapCommand,
@@ -118,6 +119,11 @@ class Stage:
         """Play a planner that waits for a commanded tap."""
         waits = PlanState.PLACING
         self.play("plan_state", lambda: PlanState(header=self.header(), state=waits))
+
+    def object_states(self, pose: Pose = OBJECT, visible: bool = True) -> ObjectStates:
+        """Return the states of the objects: of the cell's own one, at rest or hidden."""
+        state = self.object_state(pose, visible)
+        return ObjectStates(header=state.header, objects=[state])
 
     def object_state(self, pose: Pose = OBJECT, visible: bool = True) -> ObjectState:
         """Return the state of the object at rest, or hidden."""

@@ -21,7 +21,7 @@ NODE = "tapper_trigger"
 STATES = "tapper_state"
 LISTENS = (STATES,)
 """Topics of the node that the checks need."""
-PLAYS = ("tap_command", "arm_state", "plan_state", "object_state")
+PLAYS = ("tap_command", "arm_state", "plan_state", "object_states")
 """Topics that the checks publish."""
 NOTICED_S = 0.8
 """Time after which a tapper must have noticed that a condition does not hold any more."""
@@ -84,7 +84,7 @@ def _play(stage: Stage) -> _Others:
 
     stage.play("arm_state", arm)
     stage.play_planner()
-    stage.play("object_state", lambda: stage.object_state(others.object, others.visible))
+    stage.play("object_states", lambda: stage.object_states(others.object, others.visible))
     return others
 
 
@@ -297,7 +297,7 @@ DUTIES = (
     Duty("T7", _object_hidden),
     Duty("T8", _ends("arm_state")),
     Duty("T9", _ends("plan_state")),
-    Duty("T10", _ends("object_state")),
+    Duty("T10", _ends("object_states")),
     Duty("T11", _arm_leaves),
     Duty("T12", _withdrawn),
     Duty("T13", _one_authority),

@@ -117,8 +117,6 @@ class ArrangementTask(Task):
     obstacles: Sequence[KeepOut] = ()
     """Areas on the table that belong to no object of the cell."""
     arrangement: ArrangementSession | None = None
-    touched: list[str] = field(default_factory=list)
-    """Objects that were moved by a tap of another object. This motion has not been reported yet."""
     _seen: dict[str, Observation] = field(default_factory=dict)
     _states: dict[str, ObjectState] = field(default_factory=dict)
     _tap: TapOf | None = None
@@ -133,11 +131,6 @@ class ArrangementTask(Task):
             for name, one in self.wanted.items()
         )
         return f"arrangement: {goals}"
-
-    @property
-    def watched(self) -> str:
-        """See :class:`Task`."""
-        return self.object_id
 
     @property
     def purpose(self) -> str:
@@ -294,7 +287,7 @@ class ArrangementTask(Task):
         self.arrangement.skip(self._tap)
 
     def learnt(self) -> dict[str, Gains]:
-        """Return the learnt corrections of the model for every object that was tapped."""
+        """See :class:`Task`."""
         if self.arrangement is None:
             return {}
         return {
@@ -318,7 +311,7 @@ class ArrangementTask(Task):
         """Return the progress of every object."""
         return [self._progress_of(name) for name in self._reported_objects()]
 
-    def report(self, now: Now, active: bool) -> ArrangementState:
+    def progress_report(self, now: Now, active: bool) -> ArrangementState | None:
         """Return the message on the progress of the arrangement."""
         code, sentence = self._ended
         state = ArrangementState(

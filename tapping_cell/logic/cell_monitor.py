@@ -55,9 +55,10 @@ class CellMonitor:
 
     def __init__(self, silence_limit: float) -> None:
         self._silence_limit = silence_limit
-        self._own: ObjectState | None = None
         self._states: dict[str, ObjectState] = {}
-        self._watched = self._name = ""
+        self._observed: tuple[str, ...] = ()
+        """Names of the objects in the last message; the first one is the cell's own object."""
+        self._chosen = self._expected = ""
         self.conflict = ""
         """Which nodes do the work of one node of the cell, as a sentence; empty: none."""
         self.arm: ArmState | None = None
@@ -81,20 +82,30 @@ class CellMonitor:
     @property
     def object(self) -> ObjectState | None:
         """Last received state of the watched object; None if no state was received."""
-        return self._state_of(self._watched)
+        return self._state_of(self._chosen)
 
     def _state_of(self, name: str) -> ObjectState | None:
-        return self._states.get(name) if name else self._own
+        return self._states.get(name or self._own)
+
+    @property
+    def _own(self) -> str:
+        """Name of the cell's own object."""
+        return self._expected or next(iter(self._observed), "")
+
+    @property
+    def _watched(self) -> str:
+        """Name of the watched object."""
+        return self._chosen or self._own
 
     def watch(self, name: str) -> None:
         """Select the object for all following queries by its name in ``object_states``. An empty
-        name selects the cell's own object, whose state is received on ``object_state``."""
-        self._watched = name
+        name selects the cell's own object."""
+        self._chosen = name
 
     def expect(self, has_arm: bool, name: str) -> None:
         """Set whether the cell has an arm, and the name of its own object. Without this call, the
         monitor derives from the received messages whether there is an arm."""
-        self._arm_expected, self._name = has_arm, name
+        self._arm_expected, self._expected = has_arm, name
 
     @property
     def has_arm(self) -> bool:
@@ -112,15 +123,11 @@ class CellMonitor:
         place = from_message(self.arm.tip_pose)
         return place.x, place.y, self.arm.tip_pose.position.z, place.theta
 
-    def on_object(self, message: ObjectState, now: Now) -> None:
-        """Process ``object_state``."""
-        self._own = message
-        self._received["object"] = now.steady
-        self.camera_clock.receive(message.header.stamp, now)
-        self._note_seen("", message, now)
-
     def on_objects(self, message: ObjectStates, now: Now) -> None:
         """Process ``object_states``."""
+        self._received["object"] = now.steady
+        self.camera_clock.receive(message.header.stamp, now)
+        self._observed = tuple(state.object_id for state in message.objects)
         for state in message.objects:
             self._states[state.object_id] = state
             self._note_seen(state.object_id, state, now)
@@ -260,13 +267,12 @@ class CellMonitor:
     def foreign_object(self) -> CodedError | None:
         """Return an error if the camera observes another object than that of the cell's file, or
         None."""
-        own = self._own
-        if own is None or not self._name or own.object_id in ("", self._name):
+        if not self._observed or self._own in self._observed:
             return None
         return (
             ErrorCode.CONFIGURATION_CONFLICT,
-            f"object_state is about '{own.object_id}', but tap_planner positions '{self._name}';"
-            " give camera_pose and tap_planner the same cell file",
+            f"object_states is about {', '.join(map(repr, self._observed))}, but tap_planner"
+            f" positions '{self._own}'; give camera_pose and tap_planner the same cell file",
         )
 
     def missing(self, now: Now) -> CodedError | None:
@@ -293,7 +299,7 @@ class CellMonitor:
             )
         if not tapper.interlock_closed:
             return ErrorCode.TAPPER_INTERLOCK_OPEN, "the tapper's interlock is open; close it"
-        if self._own is None or self.silent("object", now):
+        if not self._observed or self.silent("object", now):
             return ErrorCode.CAMERA_SILENT, self._silence("object", now)
         return self._skew(now)
 
@@ -434,12 +440,13 @@ class CellMonitor:
         moved aside to uncover the object.
         """
         within = "" if waited is None else f" within {waited:.0f} s"
-        seen, name = self.object, f"'{self._watched}'" if self._watched else "the object"
-        if self._own is None or self.silent("object", now):
+        seen, own = self.object, self._state_of("")
+        name = f"'{self._chosen}'" if self._chosen else "the object"
+        if not self._observed or self.silent("object", now):
             return ErrorCode.CAMERA_SILENT, self._silence("object", now)
-        if self._watched and self._own.error_code not in OF_AN_OBJECT:
+        if own is not None and own.error_code not in OF_AN_OBJECT:
             # camera_pose reports a problem of the image only in the state of the cell's own object.
-            return int(self._own.error_code), self._own.error_msg
+            return int(own.error_code), own.error_msg
         if seen is None:
             return (
                 ErrorCode.OBJECT_NOT_SEEN,
@@ -447,7 +454,7 @@ class CellMonitor:
                 "file and other_object_files as tap_planner",
             )
         if seen.error_code:
-            text = f"{name}: {seen.error_msg}" if self._watched else str(seen.error_msg)
+            text = f"{name}: {seen.error_msg}" if self._chosen else str(seen.error_msg)
             if seen.error_code == ErrorCode.OBJECT_NOT_SEEN and not seen.visible:
                 text += self._hidden_place(moved_aside)
             return int(seen.error_code), text

@@ -180,8 +180,7 @@ class GoalHandling:
         """Make a task use the present map."""
         if task.free_space is not self.map.free:
             assert isinstance(task.session, (PositioningSession, PrescribedSession))
-            single = isinstance(task, SingleTapTask)
-            space = self.map.experiments if single else self.map.space
+            space = self.map.experiments if task.prescribed else self.map.space
             task.session.use_free_space(space, self.map.free)
             task.free_space = self.map.free
 
@@ -237,7 +236,7 @@ class GoalHandling:
         if names:
             return (
                 ErrorCode.NOT_READY,
-                f"other_objects has no message about the object {names}; give camera_pose the "
+                f"object_states has no observation of the object {names}; give camera_pose the "
                 "same other_object_files as tap_planner",
             )
         self._locate_others(now)
@@ -285,7 +284,7 @@ class GoalHandling:
     def learn(self, task: Task) -> None:
         """Use the corrections of the model that were learnt from a goal's taps, also before the
         goal has ended, for the goals that are accepted from now on."""
-        self._known |= self._learnt_in(task)
+        self._known |= task.learnt()
         self._gains = self._known[self.cell.object.name]
 
     def keep_learnt(self, task: Task) -> None:
@@ -295,13 +294,8 @@ class GoalHandling:
             OSError: a file cannot be written.
         """
         if self._keep_for and task.records:
-            for name, gains in self._learnt_in(task).items():
+            for name, gains in task.learnt().items():
                 keep_gains(name, self._keep_for, gains)
-
-    def _learnt_in(self, task: Task) -> dict[str, Gains]:
-        if isinstance(task, ArrangementTask):
-            return task.learnt()
-        return {self.cell.object.name: task.session.gains}
 
     # Acceptance of requests. These methods do not change the tasks that they have returned before.
     # They raise PlanningError if a setting of a request is invalid for planning.

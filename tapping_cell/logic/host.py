@@ -19,7 +19,6 @@ from tapping_cell.logic.effects import Content, Effect, JobEnded, JobProgress, M
 from tapping_cell.messages import Bool
 
 ONE_PUBLISHER = (
-    "object_state",
     "object_states",
     "arm_state",
     "tapper_state",

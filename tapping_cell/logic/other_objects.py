@@ -7,13 +7,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from tapping_cell.configuration.objects import ObjectFile
 from tapping_cell.logic.clock import Now
 from tapping_cell.logic.peer_clock import PeerClock
 from tapping_cell.logic.poses import from_message
-from tapping_cell.messages import ObjectState, ObjectStates
+from tapping_cell.messages import ObjectState, Time, UnknownObjects
 from tapping_cell.planning import CircleArea, KeepOut, PolygonArea
 from tapping_cell.se2 import Pose, transform_points
 
@@ -27,6 +27,7 @@ UNKNOWN = "unknown object"
 class _Known:
     """Last observations of one object; times in s of the steady clock."""
 
+    stamp: Time = field(default_factory=Time)
     observed_at: float = -math.inf
     pose: Pose | None = None
     seen_at: float = -math.inf
@@ -48,32 +49,30 @@ class OtherObjects:
         self._moved = moved
         self._known: dict[str, _Known] = {}
         self._unknown: tuple[PolygonArea, ...] = ()
-        self._searched_at = math.inf
-        """Time of the last search; infinite if the camera does not search."""
+        self._searches = False
+        self._searched_at = -math.inf
 
     @property
     def files(self) -> tuple[ObjectFile, ...]:
         """Object files of these objects."""
         return self._files
 
-    def place(self, name: str) -> Pose | None:
-        """Return the last pose of an object; None if it was never seen."""
-        known = self._known.get(name)
-        return None if known is None else known.pose
-
     def on_object(
         self, message: ObjectState, clock: PeerClock, now: Now, covered: bool = False
     ) -> None:
-        """Process an observation of one object; ``clock``: clock of the camera's computer.
+        """Process the last observation of one object; ``clock``: clock of the camera's computer.
         ``covered``: the arm may hide the object's last pose."""
         shape = next((file.shape for file in self._files if file.name == message.object_id), None)
         if shape is None:
             return
         known = self._known.setdefault(message.object_id, _Known())
+        if covered:
+            known.seen_at = now.steady
+        if message.header.stamp == known.stamp:  # the object was not searched for since then
+            return
+        known.stamp = message.header.stamp
         known.observed_at = clock.to_steady(message.header.stamp, now)
         if not message.visible:
-            if covered:
-                known.seen_at = now.steady
             return
         pose, radius = from_message(message.pose.pose), shape.reach()
         if not (_on_table(pose.x, pose.y) and math.isfinite(pose.theta)):
@@ -87,35 +86,35 @@ class OtherObjects:
         if shift > self._moved:
             known.pose = pose
 
-    def on_objects(self, message: ObjectStates, clock: PeerClock, now: Now) -> None:
+    def search(self, searches: bool) -> None:
+        """Note whether the camera searches for objects without an object file."""
+        self._searches = searches
+
+    def on_unknown(self, message: UnknownObjects, clock: PeerClock, now: Now) -> None:
         """Process the outlines of the objects without an object file."""
-        stamp = message.unknown_searched_at
-        if stamp.sec == 0 and stamp.nanosec == 0:
-            self._searched_at, self._unknown = math.inf, ()
-            return
-        self._searched_at = clock.to_steady(stamp, now)
+        self._searched_at = clock.to_steady(message.header.stamp, now)
         outlines = (
             [(point.x, point.y) for point in outline.points if _on_table(point.x, point.y)]
-            for outline in message.unknown_objects
+            for outline in message.outlines
         )
         self._unknown = tuple(_unknown_area(corners) for corners in outlines if len(corners) >= 3)
 
     @property
     def unknown(self) -> tuple[PolygonArea, ...]:
         """Areas of the objects without an object file."""
-        return self._unknown
+        return self._unknown if self._searches else ()
 
     def searched(self, since: float) -> bool:
         """Return whether the camera has searched for objects without an object file since
         ``since``, in s of the steady clock. Also return True if the camera does not search for such
         objects."""
-        return self._searched_at > since
+        return not self._searches or self._searched_at > since
 
     def areas(self, now: Now) -> tuple[KeepOut | None, ...]:
         """Return the areas that the objects cover. First come the objects with an object file, in
         the order of the files, with None for an object that is not on the table; then the objects
         without a file."""
-        return (*(self._area(file, now) for file in self._files), *self._unknown)
+        return (*(self._area(file, now) for file in self._files), *self.unknown)
 
     def moved_since(self, areas: Sequence[KeepOut | None], now: Now) -> bool:
         """Return whether an object has moved or appeared since :meth:`areas` returned ``areas``."""

@@ -318,7 +318,7 @@ class PlannerLogic:
         self._end(End(State.CANCELED, ErrorCode.GOAL_REPLACED, replaced), now)
         self._resumption.take()  # a goal that arrives before the resumption is newer
         self._confirmations.begin(task.is_resumed)
-        self._monitor.watch(task.watched)
+        self._monitor.watch(task.object_id)
         self._effects.extend(self._resumption.keep(task, False, now))
         task.sent = now.ros - round(SKEW_LIMIT_S * NANOSECONDS)
         self._log(LogLevel.INFO, task.description())
@@ -423,7 +423,7 @@ class PlannerLogic:
         self._effects.extend(tap_steps.end_tap(at, self._sender, now))
         check(TABLE, at.state, how.event, how.state)
         self._confirmations.forget()
-        self._monitor.watch(task.watched)  # the result contains the pose of this object
+        self._monitor.watch(task.object_id)  # the result contains the pose of this object
         if shot is not None:
             task.lose(shot)
         task.end(how.code, how.sentence)

@@ -34,28 +34,27 @@ class PlannerInputs:
             return self.monitor.on_arm(message, now)
         if topic == "tapper_state":
             return self.monitor.on_tapper(message, now)
-        if topic == "object_state":
-            self.monitor.on_object(message, now)
-        elif topic == "object_states":
+        if topic == "object_states":
             self.monitor.on_objects(message, now)
-            self._note_unknown_and_covered(message, now)
-        elif topic == "other_objects" and self._goals is not None:
-            others, name = self._goals.other_objects, message.object_id
-            covered = not message.visible and self._may_be_covered(name, others.place(name))
-            others.on_object(message, self.monitor.camera_clock, now, covered)
+            self._note_others(message, now)
+        elif topic == "unknown_objects" and self._goals is not None:
+            self._goals.other_objects.on_unknown(message, self.monitor.camera_clock, now)
         elif topic == "camera/pose":
             place = message.pose.position
             self._lens = (place.x, place.y, place.z)
         return None
 
-    def _note_unknown_and_covered(self, message: Message, now: Now) -> None:
+    def _note_others(self, message: Message, now: Now) -> None:
         if self._goals is None:
             return
-        self._goals.other_objects.on_objects(message, self.monitor.camera_clock, now)
+        others = self._goals.other_objects
+        others.search(message.searches_unknown_objects)
         for state in message.objects:
             name = state.object_id
-            if not state.visible and self._may_be_covered(name, self.monitor.place(name)):
+            covered = not state.visible and self._may_be_covered(name, self.monitor.place(name))
+            if covered:
                 self.monitor.note_covered(name, now)
+            others.on_object(state, self.monitor.camera_clock, now, covered)
 
     def _may_be_covered(self, name: str, pose: Pose | None) -> bool:
         """Return whether the arm may hide an object of the cell that was last seen at a pose."""

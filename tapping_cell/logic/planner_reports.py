@@ -6,7 +6,6 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from tapping_cell.logic.arrangement import ArrangementTask
 from tapping_cell.logic.cell_monitor import CellMonitor
 from tapping_cell.logic.clock import Now, to_stamp
 from tapping_cell.logic.confirmation import Confirmations
@@ -105,7 +104,7 @@ class PlanReports:
         task, shot, is_final = subject.task, subject.shot, subject.state in FINAL
         # While the monitor watches another object, of which an observation is missing, the report
         # is still about the present object.
-        pose = self._monitor.pose_of("" if task is None else task.watched)
+        pose = self._monitor.pose_of("" if task is None else task.object_id)
         state = PlanState(state=WIRE[subject.state], error_code=code, error_msg=sentence)
         state.header.stamp = to_stamp(now.ros)
         state.header.frame_id = "table"
@@ -124,10 +123,11 @@ class PlanReports:
             for name in REMEMBERED:
                 setattr(state, name, getattr(self.last, name))
         self.last = state
-        if isinstance(task, ArrangementTask) and draw:
+        progress = None if task is None or not draw else task.progress_report(now, not is_final)
+        if progress is not None:
             # Published before `plan_state`, so that a recorder knows that the goal belongs to an
             # arrangement.
-            yield Publish("arrangement_state", task.report(now, not is_final))
+            yield Publish("arrangement_state", progress)
         yield Publish("plan_state", state)
         if task is not None and is_final and state.planner != PRESCRIBED:
             yield Publish("goal_report", _final_report(state, task))

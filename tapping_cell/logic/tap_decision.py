@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 from tapping_cell.logic import tap_counts
-from tapping_cell.logic.arrangement import ArrangementTask
 from tapping_cell.logic.clock import NANOSECONDS, Now
 from tapping_cell.logic.effects import Log, LogLevel
 from tapping_cell.logic.goal_validation import REFUSALS
@@ -25,7 +24,7 @@ from tapping_cell.logic.planner_states import (
 )
 from tapping_cell.logic.tap_counts import LATE
 from tapping_cell.logic.tap_steps import Cell, wait_again
-from tapping_cell.logic.task import Shot, SingleTapTask, Task
+from tapping_cell.logic.task import Shot, Task
 from tapping_cell.messages import ConfirmTap, ErrorCode, ObjectState
 from tapping_cell.planning import Decision, Done, ObserveAgain, Refusal, RefusalReason, Strike
 from tapping_cell.se2 import Pose
@@ -36,8 +35,7 @@ def act(
 ) -> Steps:
     """Carry out a decision that is based on the observation ``seen``."""
     task = at.task
-    if isinstance(task, ArrangementTask):
-        yield from _turn_to_object(task, cell)
+    yield from _turn_to_object(task, cell)
     if isinstance(decision, Refusal):
         # If the tap is refused only because the object's pose is too uncertain, continue the
         # observation, because every further image reduces the uncertainty.
@@ -54,9 +52,9 @@ def act(
         at = Planning(task=task, look=look)
         yield Go(Event.OBSERVED, at)
     if isinstance(decision, Done):
-        yield End(State.IDLE if isinstance(task, SingleTapTask) else State.REACHED)
+        yield End(State.IDLE if task.prescribed else State.REACHED)
         return
-    error = tap_counts.exhausted(task, cell.settings, cell.monitor.pose_of(task.watched))
+    error = tap_counts.exhausted(task, cell.settings, cell.monitor.pose_of(task.object_id))
     if error is not None:
         yield failed(*error)
     elif cell.monitor.missing(now) is not None:
@@ -65,9 +63,8 @@ def act(
         yield from _plan(look, decision, task.before(seen), cell, now)
 
 
-def _turn_to_object(task: ArrangementTask, cell: Cell) -> Steps:
-    """Watch the present object of the arrangement; warn about other objects that taps have
-    moved."""
+def _turn_to_object(task: Task, cell: Cell) -> Steps:
+    """Watch the object that is tapped now; warn about other objects that taps have moved."""
     cell.monitor.watch(task.object_id)
     names, task.touched = task.touched, []
     if names:
@@ -134,7 +131,7 @@ def answered(
     shot, task, monitor = at.proposed, at.task, cell.monitor
     cell.confirmations.forget()
     accepted = ConfirmTap.Response(accepted=True)
-    if not is_confirmed and isinstance(task, SingleTapTask):
+    if not is_confirmed and task.prescribed:
         rejected = failed(ErrorCode.TAP_NOT_CONFIRMED, "a person rejected the single tap")
         return accepted, iter((rejected,))
     if not is_confirmed:

@@ -174,8 +174,6 @@ class TapperLogic(DeviceLogic[State, Event]):
             gone = self._peers.given_up()
             if gone is not None:
                 self._give_up(gone)
-        elif topic == "object_state":
-            self._peers.on_object_state(message, now)
         elif topic == "object_states":
             self._peers.on_object_states(message, now)
         elif topic == enabling.TOPIC:

@@ -18,6 +18,7 @@ from tapping_cell.messages import (
     ObjectState,
     ObjectStates,
     PlanState,
+    Time,
 )
 from tapping_cell.se2 import Pose
 
@@ -145,13 +146,14 @@ class TapperPeers:
         self._phase = PlanState.IDLE
         self._planners_tap = False
         self._picture_at: float | None = None
-        self._object = ""
+        self._own = self._object = ""
         self._height = 0.0
         self._names: set[str] = set()
         """Names of the objects that the camera has reported."""
         self._seen: dict[str, Sight] = {}
         self._received: dict[str, ObjectState] = {}
-        """State of each object in the last message on ``object_state``, or a newer one."""
+        """Last received state that shows each object. Its stamp may be older than that of the state
+        in ``_seen``, because the camera's clock may be set back."""
         self._mounts: Mounts | None = None
 
     def use_mounts(self, mounts: Mounts) -> None:
@@ -180,38 +182,30 @@ class TapperPeers:
         if message.state in TAPPING:
             self._planners_tap = True
 
-    def on_object_state(self, message: ObjectState, now: Now) -> None:
-        """Process ``object_state``."""
-        if message.error_code not in BLIND:
-            names = {"", message.object_id}
-            self._names.add(message.object_id)
-            seen_at = self._see(message, names, now)
-            self._picture_at = max(seen_at, self._picture_at or -math.inf)
-            if message.visible and message.error_code == ErrorCode.NONE:
-                # The message may be newer than its stamp says: the camera's clock may be set back.
-                self._received.update(dict.fromkeys(names, message))
-
     def on_object_states(self, message: ObjectStates, now: Now) -> None:
         """Process ``object_states``; the age of each state is determined from its own stamp."""
+        if message.objects:
+            self._own = message.objects[0].object_id
         for state in message.objects:
             self._names.add(state.object_id)
             if state.error_code not in BLIND:
-                self._see(state, {state.object_id}, now)
+                self._see(state, message.header.stamp, now)
 
-    def _see(self, state: ObjectState, names: set[str], now: Now) -> float:
-        """Store an object's state under these names, unless a newer state is stored. Return the
-        time of its image, in s of the steady clock."""
-        self._clocks["camera"].receive(state.header.stamp, now)
-        seen_at = self._clocks["camera"].to_steady(state.header.stamp, now)
+    def _see(self, state: ObjectState, taken: Time, now: Now) -> None:
+        """Process an object's state; ``taken``: stamp of the last image."""
+        name, camera = state.object_id, self._clocks["camera"]
+        camera.receive(state.header.stamp, now)
+        seen_at = camera.to_steady(state.header.stamp, now)
+        if state.header.stamp == taken:
+            self._picture_at = max(seen_at, self._picture_at or -math.inf)
         if state.visible and state.error_code == ErrorCode.NONE:
-            for name in names:
-                if name not in self._seen or seen_at >= self._seen[name].seen_at:
-                    self._seen[name] = Sight(state, seen_at, seen_at)
-                    self._received[name] = state
-        elif state.hidden_by_arm:
-            for name in names & self._seen.keys():
-                self._seen[name].hide_by_arm(seen_at)
-        return seen_at
+            is_newer = name not in self._seen or seen_at >= self._seen[name].seen_at
+            if is_newer:
+                self._seen[name] = Sight(state, seen_at, seen_at)
+            if is_newer or state.header.stamp == taken:
+                self._received[name] = state
+        elif state.hidden_by_arm and name in self._seen:
+            self._seen[name].hide_by_arm(seen_at)
 
     def unknown_object(self, name: str) -> CodedError | None:
         """Return an error if the camera reports objects but not the one with this name, or None.
@@ -385,7 +379,8 @@ class TapperPeers:
         None."""
         if self._picture_at is None:
             return None
-        sight, limits = self._seen.get(self._object), self._limits
+        name, limits = self._object or self._own, self._limits
+        sight = self._seen.get(name)
         if sight is None:
             return ErrorCode.OBJECT_NOT_SEEN, "the object has not been seen yet; uncover it"
         seen, unseen = sight.state, now.steady - sight.seen_at
@@ -407,7 +402,7 @@ class TapperPeers:
                 ErrorCode.OBJECT_NOT_AT_REST,
                 "the object moves; a fixed tapper fires only at an object at rest",
             )
-        for state in (seen, self._received[self._object]):
+        for state in (seen, self._received[name]):
             pose = from_message(state.pose.pose)
             moved, turned = planned.distance_to(pose), abs(planned.rotation_to(pose))
             if moved <= limits.moved and turned <= limits.turned:

@@ -22,6 +22,7 @@ from tapping_cell.logic.poses import (
     to_message,
 )
 from tapping_cell.messages import (
+    ArrangementState,
     ArrangeObjects,
     ObjectState,
     PlannedTap,
@@ -165,6 +166,8 @@ class Task:
 
     resumable: ClassVar[bool] = True
     """Whether a restarted planner resumes this goal after a crash."""
+    prescribed: ClassVar[bool] = False
+    """Whether the tap is prescribed, so that no other tap can be planned and no goal is reached."""
 
     object_id: str
     """Name of the object."""
@@ -195,6 +198,8 @@ class Task:
     """Whether this is the goal of a planner that crashed."""
     free_space: object | None = None
     """Map of the free space that the session uses at present."""
+    touched: list[str] = field(default_factory=list)
+    """Objects that were moved by a tap of another object. This motion has not been reported yet."""
     arm: tuple[float, float, float, float] | None = None
     """Pose of the arm's tip when a decision is made: x, y, height and yaw in ``table``."""
 
@@ -209,11 +214,6 @@ class Task:
             f"goal x {1000 * self.goal.x:.1f} mm, y {1000 * self.goal.y:.1f} mm, "
             f"{math.degrees(self.goal.theta):.1f} deg"
         )
-
-    @property
-    def watched(self) -> str:
-        """Name of the object for :meth:`CellMonitor.watch`; empty for the cell's own object."""
-        return ""
 
     @property
     def purpose(self) -> str:
@@ -287,6 +287,10 @@ class Task:
         """Learn from a tap and the pose observed after it."""
         self.session.observe(shot.strike, shot.before, pose, covariance)
 
+    def learnt(self) -> dict[str, Gains]:
+        """Return the learnt corrections of the model for every object that was tapped."""
+        return {self.object_id: self.session.gains}
+
     def skip(self, strike: Strike) -> None:
         """Choose a tap other than this one, if possible, until the next tap is fired."""
         self.session.skip(strike)
@@ -300,6 +304,10 @@ class Task:
 
     def end(self, code: int, sentence: str) -> None:
         """Handle the end of the goal; ``code`` is NONE if it was reached."""
+
+    def progress_report(self, now: Now, active: bool) -> ArrangementState | None:
+        """Return the message on the progress of several objects; None for a goal of one object."""
+        return None
 
     def feedback(
         self, state: PlanState
@@ -357,6 +365,7 @@ class SingleTapTask(Task):
     """
 
     resumable: ClassVar[bool] = False
+    prescribed: ClassVar[bool] = True
 
     session: PrescribedSession
     references: ReferenceMap

@@ -533,26 +533,6 @@ class ObjectState:
 
 
 @dataclass(slots=True, kw_only=True)
-class Point32:
-    """Mirror of ``geometry_msgs/msg/Point32``."""
-
-    ROS_TYPE: ClassVar[str] = "geometry_msgs/msg/Point32"
-
-    x: float = 0.0
-    y: float = 0.0
-    z: float = 0.0
-
-
-@dataclass(slots=True, kw_only=True)
-class Polygon:
-    """Mirror of ``geometry_msgs/msg/Polygon``."""
-
-    ROS_TYPE: ClassVar[str] = "geometry_msgs/msg/Polygon"
-
-    points: list[Point32] = field(default_factory=list)
-
-
-@dataclass(slots=True, kw_only=True)
 class ObjectStates:
     """Mirror of ``tapping_cell_msgs/msg/ObjectStates``."""
 
@@ -560,8 +540,7 @@ class ObjectStates:
 
     header: Header = field(default_factory=Header)
     objects: list[ObjectState] = field(default_factory=list)
-    unknown_objects: list[Polygon] = field(default_factory=list)
-    unknown_searched_at: Time = field(default_factory=Time)
+    searches_unknown_objects: bool = False
 
 
 @dataclass(slots=True, kw_only=True)
@@ -686,6 +665,36 @@ class TapperState:
     last_stop: Time = field(default_factory=Time)
     error_code: int = 0
     error_msg: str = ""
+
+
+@dataclass(slots=True, kw_only=True)
+class Point32:
+    """Mirror of ``geometry_msgs/msg/Point32``."""
+
+    ROS_TYPE: ClassVar[str] = "geometry_msgs/msg/Point32"
+
+    x: float = 0.0
+    y: float = 0.0
+    z: float = 0.0
+
+
+@dataclass(slots=True, kw_only=True)
+class Polygon:
+    """Mirror of ``geometry_msgs/msg/Polygon``."""
+
+    ROS_TYPE: ClassVar[str] = "geometry_msgs/msg/Polygon"
+
+    points: list[Point32] = field(default_factory=list)
+
+
+@dataclass(slots=True, kw_only=True)
+class UnknownObjects:
+    """Mirror of ``tapping_cell_msgs/msg/UnknownObjects``."""
+
+    ROS_TYPE: ClassVar[str] = "tapping_cell_msgs/msg/UnknownObjects"
+
+    header: Header = field(default_factory=Header)
+    outlines: list[Polygon] = field(default_factory=list)
 
 
 class ConfirmTap:

@@ -1,4 +1,4 @@
-"""SROS 2 in the cell: enclave of each node and explanation of failures (docs/security.md)."""
+"""SROS 2 in the cell: enclave of each node and explanation of failures (docs/deploy.md)."""
 
 from __future__ import annotations
 
@@ -33,6 +33,6 @@ def explain(error: BaseException) -> str | None:
         cause = text.split("SECURITY ERROR:", 1)[1].split(", at ")[0].strip()
         return (
             f"{ENABLED} is true, but the node's keys cannot be used: {cause}; make the keystore as "
-            "docs/security.md describes, and set ROS_SECURITY_KEYSTORE to it"
+            "docs/deploy.md describes, and set ROS_SECURITY_KEYSTORE to it"
         )
     return None

@@ -19,6 +19,7 @@ TRAVELS, LOWERS, CHARGES, SLIDES, WITHDRAWS, FLIES, MEASURES, PLANS, ASKS = (
     "the planner waits or plans",
     "waiting for confirmation",
 )
+_OBJECT = "object"
 LOWERED_M = 0.003
 """A move counts as lowering the striker once the tip is this distance, in m, below its highest
 point in the move."""
@@ -36,8 +37,9 @@ def activities(bag: Bag, began: float, ended: float) -> tuple[Phase, ...]:
     """Return the activities from ``began`` to ``ended`` in s; empty if neither ``arm_state`` nor
     the state of fixed tappers was recorded."""
     messages: list[tuple[float, str, Any]] = []
-    for topic in ("arm_state", "object_state", "plan_state", "tapper_state"):
+    for topic in ("arm_state", "plan_state", "tapper_state"):
         messages += [(seconds_of(m.header.stamp), topic, m) for _, m in bag.of(topic)]
+    messages += [(seconds_of(m.header.stamp), _OBJECT, m) for m in bag.of_own_object()]
     has_arm = any(topic == "arm_state" for _, topic, _ in messages)
     if not has_arm and not any(getattr(m, "fixed_mounts", False) for _, _, m in messages):
         return ()
@@ -67,7 +69,7 @@ def activities(bag: Bag, began: float, ended: float) -> tuple[Phase, ...]:
 
 def _activity(latest: dict[str, Any]) -> str:
     """Return the activity according to the latest message of each topic."""
-    plan, seen = latest.get("plan_state"), latest.get("object_state")
+    plan, seen = latest.get("plan_state"), latest.get(_OBJECT)
     if plan is not None and plan.state == _PLAN_CONFIRMING:
         return ASKS
     if "arm_state" in latest:

@@ -74,6 +74,16 @@ class Bag:
             if message.topic.name == name or message.topic.name.endswith("/" + name.lstrip("/")):
                 yield message.stamp, self.decode(message)
 
+    def of_own_object(self) -> Iterator[Any]:
+        """Yield the decoded states of the cell's own object, which version 0.1 recorded on a topic
+        of their own, ``object_state``."""
+        states = None
+        for _, states in self.of("object_state"):
+            yield states
+        if states is None:
+            for _, message in self.of("object_states"):
+                yield from message.objects[:1]
+
     def decode(self, message: Recorded) -> Any:
         """Decode a message; the result has the fields of its definition as attributes.
 

@@ -38,7 +38,7 @@ from tapping_cell.se2 import Pose, from_message
 NOTES = "run_notes"
 """Topic (``std_msgs/String``, JSON) with information on a run that no other topic contains."""
 PICTURES = "camera/image_annotated/compressed"
-_STATE_TOPICS = ("plan_state", "arm_state", "tapper_state", "object_state")
+_STATE_TOPICS = ("plan_state", "arm_state", "tapper_state")
 TRUTH_WITHIN_S = 0.2
 """Maximum time difference between a measured pose and its ground truth, in s. A pose counts as a
 final pose up to this time after the end of the run."""
@@ -159,7 +159,7 @@ def _positioned(bag: Bag, name: str, notes: Mapping[str, Any]) -> Run:
     ]
     began = float(notes.get("began", seconds_of((mine or [last])[0].header.stamp)))
     ended = seconds_of(last.header.stamp)
-    states = [(seconds_of(m.header.stamp), m) for _, m in bag.of("object_state")]
+    states = [(seconds_of(m.header.stamp), m) for m in bag.of_own_object()]
     truths = [(seconds_of(m.header.stamp), from_message(m.pose)) for _, m in bag.of("ground_truth")]
     records = report.records if report is not None else records_of(mine)
     seen = [(at, m) for at, m in states if m.visible and m.at_rest and not m.error_code]
@@ -330,7 +330,7 @@ def _tracks(bag: Bag, run: Run) -> dict[str, Poses]:
     if len(run.objects) > 1:
         found = _poses(bag, "object_states")
     else:
-        states = ((seconds_of(m.header.stamp), m) for _, m in bag.of("object_state") if m.visible)
+        states = ((seconds_of(m.header.stamp), m) for m in bag.of_own_object() if m.visible)
         found = {run.first.name: [(at, from_message(m.pose.pose)) for at, m in states]}
     arm = ((seconds_of(m.header.stamp), m) for _, m in bag.of("arm_state") if m.homed)
     found[TIP] = [(at, from_message(m.tip_pose)) for at, m in arm]
@@ -480,9 +480,10 @@ def _errors(bag: Bag, began: float, ended: float) -> tuple[ErrorEvent, ...]:
     """Return the warnings and errors that occurred while the goal was active. A problem that
     persists is listed once."""
     found = []
-    for topic in _STATE_TOPICS:
+    streams = {topic: (message for _, message in bag.of(topic)) for topic in _STATE_TOPICS}
+    for topic, messages in {**streams, "object_states": bag.of_own_object()}.items():
         before = 0
-        for _, message in bag.of(topic):
+        for message in messages:
             at, code = seconds_of(message.header.stamp), int(message.error_code)
             if code and code != before and began <= at <= ended:
                 found.append(ErrorEvent(at - began, topic, code, str(message.error_msg)))

@@ -1,4 +1,4 @@
-"""Tables with one row for each trial, run or tap, as CSV and Parquet (docs/reference/tables.md)."""
+"""Tables with one row for each trial, run or tap, as CSV and Parquet (docs/runs.md)."""
 
 from __future__ import annotations
 

@@ -83,7 +83,7 @@ def check_bag(folder: Path, taps: int) -> None:
                 if message.state == TapperState.CHARGING:
                     charged = charged or stamp
     assert counts["/tap_command"] >= taps and counts["/goal_report"] >= 1
-    for topic in ("/object_state", "/arm_state", "/tapper_state", "/plan_state"):
+    for topic in ("/object_states", "/arm_state", "/tapper_state", "/plan_state"):
         assert first[topic] < first["/tap_command"], topic
     # The recorder subscribes to /ground_truth only when the goal begins, and the first tap may be
     # commanded at the same time. Therefore, the recording of this topic need only begin before the

@@ -28,10 +28,10 @@ from tapping_cell_msgs.msg import (
     ArmState,
     ErrorCode,
     ObjectContact,
-    ObjectStates,
     PlanState,
     TapCommand,
     TapperState,
+    UnknownObjects,
 )
 from tapping_cell_msgs.srv import ResetWorld
 from yaml import safe_dump, safe_load
@@ -74,7 +74,7 @@ class Cell:
     arm: list[ArmState] = field(default_factory=list)
     tapper: list[TapperState] = field(default_factory=list)
     truths: list[PoseStamped] = field(default_factory=list)
-    states: list[ObjectStates] = field(default_factory=list)
+    unknown: list[UnknownObjects] = field(default_factory=list)
     contacts: list[ObjectContact] = field(default_factory=list)
 
     def __post_init__(self) -> None:
@@ -88,7 +88,7 @@ class Cell:
             (ArmState, "arm_state", self.arm, LATCHED),
             (TapperState, "tapper_state", self.tapper, LATCHED),
             (PoseStamped, "ground_truth", self.truths, 10),
-            (ObjectStates, "object_states", self.states, LATCHED),
+            (UnknownObjects, "unknown_objects", self.unknown, LATCHED),
             (ObjectContact, "true_contacts", self.contacts, 10),
         ):
             node.create_subscription(kind, topic, messages.append, profile)
@@ -191,8 +191,8 @@ def test_the_graph_has_the_names_of_the_design(cell: Cell) -> None:
     topics = {name for name, _ in cell.client.node.get_topic_names_and_types()}
     names = (
         "arm_state camera/camera_info camera/image_annotated camera/image_raw emergency_stop "
-        "goal_pose ground_truth joint_states joint_trajectory markers object_pose object_state "
-        "plan_state tap_command tapper_state"
+        "goal_pose ground_truth joint_states joint_trajectory markers object_pose "
+        "object_states plan_state tap_command tapper_state unknown_objects"
     )
     assert {"/diagnostics", *(f"/{SPACE}/{name}" for name in names.split())} <= topics
 
@@ -292,12 +292,11 @@ def test_an_object_without_a_file_is_seen_where_it_lies_and_refuses_goals(cell: 
     refused = cell.run_action(Pose(UNKNOWN.x + 0.02, UNKNOWN.y + 0.01, 0.0))
     assert refused.error_code == ErrorCode.GOAL_IN_KEEP_OUT
     assert "unknown object at x" in refused.error_msg
-    searched = [state for state in cell.states if state.unknown_searched_at.sec]
-    assert len(searched) > 1
-    for state in searched:
-        assert len(state.unknown_objects) == 1
+    assert cell.unknown
+    for message in cell.unknown:
+        assert len(message.outlines) == 1
         for axis, place in (("x", UNKNOWN.x), ("y", UNKNOWN.y)):
-            values = [getattr(point, axis) for point in state.unknown_objects[0].points]
+            values = [getattr(point, axis) for point in message.outlines[0].points]
             assert abs((min(values) + max(values)) / 2 - place) < 0.006
 
 

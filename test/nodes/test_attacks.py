@@ -40,7 +40,6 @@ from tapping_cell.simulation.tapper_emulator import TapperEmulator, TapperMachin
 from tapping_cell.simulation.truth import ArmTruth
 
 # These tests publish 100 messages per second, which would delay tests that run in parallel.
-pytestmark = pytest.mark.alone
 STRIKE, HEIGHT = Pose(-0.08, 0.02, 0.3), load_cell().strike_height
 RATE_HZ = 100.0
 TRIES = 10

@@ -18,7 +18,7 @@ from rclpy.duration import Duration
 from rclpy.qos import qos_profile_sensor_data
 from rclpy.time import Time
 from sensor_msgs.msg import CameraInfo, Image, JointState
-from tapping_cell_msgs.msg import ErrorCode, ObjectState
+from tapping_cell_msgs.msg import ErrorCode, ObjectState, ObjectStates
 
 from tapping_cell.configuration.cell import load_cell
 from tapping_cell.configuration.files import shared_folder
@@ -38,8 +38,6 @@ from tapping_cell.simulation.rendered_camera import Occluder, SceneRenderer
 from tapping_cell.simulation.scene import make_renderer
 from tapping_cell.simulation.truth import CameraTruth
 from tapping_cell.vision import View
-
-pytestmark = pytest.mark.alone
 
 TRUE = Pose(0.06, -0.04, 0.8)
 TRIES = 20
@@ -108,7 +106,7 @@ def cell() -> Iterator[Cell]:
     outline = np.asarray(configuration.outline())
     renderer = make_renderer(configuration, CameraTruth(), outline, 1)
     with bench(lambda: [CameraPose()], {}) as b:
-        states = b.listen(ObjectState, "object_state", LATCHED)
+        states = b.listen_own_object()
         poses = b.listen(PoseWithCovarianceStamped, "object_pose")
         yield Cell(b, states, poses, renderer)
 
@@ -289,19 +287,20 @@ def test_two_objects_in_one_image() -> None:
     other = Pose(-0.15, 0.08, -0.5)
     given = {"camera_pose": {"other_object_files": folder / "plain_disk_with_dot.yaml"}}
     with bench(lambda: [CameraPose()], given) as b:
-        states = b.listen(ObjectState, "object_state", LATCHED)
-        others = b.listen(ObjectState, "other_objects")
+        states = b.listen_own_object()
+        every = b.listen(ObjectStates, "object_states", LATCHED)
         cell = Cell(b, states, [], first)
         middle = int(first.view.project([(TRUE.x + other.x) / 2, 0.0])[0])
         for _ in range(60):
             picture = first.render(TRUE)
             picture[:, :middle] = second.render(other)[:, :middle]
             last = cell.send(images.to_message(picture, "mono8"))
-        b.wait(lambda: others and others[-1].visible, "the other object")
+        b.wait(lambda: every[-1].objects[1].visible, "the other object")
     assert last.visible
     assert from_message(last.pose.pose).distance_to(TRUE) < 0.0001
-    assert others[-1].object_id == "plain disk with dot"
-    seen = from_message(others[-1].pose.pose)
+    found = every[-1].objects[1]
+    assert found.object_id == "plain disk with dot"
+    seen = from_message(found.pose.pose)
     assert seen.distance_to(other) < 0.0001 and abs(seen.rotation_to(other)) < math.radians(0.2)
 
 
@@ -345,7 +344,7 @@ def test_compressed_images_are_measured() -> None:
     renderer = make_renderer(configuration, CameraTruth(), np.asarray(configuration.outline()), 1)
     with bench(lambda: [CameraPose()], {"camera_pose": {"image_transport": "compressed"}}) as b:
         assert b.probe is not None
-        states = b.listen(ObjectState, "object_state", LATCHED)
+        states = b.listen_own_object()
         publisher = PicturePublisher(b.probe, 95)
         b.wait(publisher.subscribers, "the node listens")
         info = images.to_camera_info(configuration.camera)

@@ -15,7 +15,7 @@ from rclpy.event_handler import EventHandler
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Bool, String
-from tapping_cell_msgs.msg import ObjectState, PlanState
+from tapping_cell_msgs.msg import ObjectStates, PlanState
 
 from tapping_cell.cli.graph import own_domain
 from tapping_cell.nodes.connection_check import ConnectionCheck
@@ -75,8 +75,8 @@ def test_exactly_the_endpoints_that_do_not_connect_are_reported(ros: None) -> No
 
 CASES: list[tuple[Callable[[Node], Any], str]] = [
     (
-        lambda probe: probe.create_publisher(ObjectState, "object_state", BEST_EFFORT),
-        "nothing is received on /object_state from the node /probe: the QoS profiles are "
+        lambda probe: probe.create_publisher(ObjectStates, "object_states", BEST_EFFORT),
+        "nothing is received on /object_states from the node /probe: the QoS profiles are "
         "incompatible (best effort publisher and reliable subscription, volatile publisher and "
         "transient local subscription)",
     ),

@@ -7,12 +7,10 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 from harness import bench
-from tapping_cell_msgs.msg import ObjectState
 from test_camera_pose import TRUE, Cell
 
 from tapping_cell.configuration.cell import load_cell
 from tapping_cell.nodes.camera.camera_pose import CameraPose
-from tapping_cell.nodes.cell_node import LATCHED
 from tapping_cell.nodes.conversions import from_message
 from tapping_cell.se2 import Pose
 from tapping_cell.simulation.scene import make_renderer
@@ -26,7 +24,7 @@ def cell() -> Iterator[Cell]:
     configuration = load_cell()
     renderer = make_renderer(configuration, CameraTruth(), np.asarray(configuration.outline()), 1)
     with bench(lambda: [CameraPose()], {"camera_pose": {"frame_prefix": "left/"}}) as b:
-        yield Cell(b, b.listen(ObjectState, "object_state", LATCHED), [], renderer)
+        yield Cell(b, b.listen_own_object(), [], renderer)
 
 
 def test_a_visible_object_is_a_detection_with_its_box(cell: Cell) -> None:

@@ -7,7 +7,6 @@ from harness import bench
 from tapping_cell_msgs.msg import ObjectState, ObjectStates
 
 from tapping_cell.nodes.camera.camera_pose import CameraPose
-from tapping_cell.nodes.cell_node import LATCHED
 from tapping_cell.nodes.frame_names import accept_table, add_prefix
 
 
@@ -32,6 +31,6 @@ def test_only_the_own_table_loses_its_prefix() -> None:
 
 def test_a_node_adds_its_prefix() -> None:
     with bench(lambda: [CameraPose()], {"camera_pose": {"frame_prefix": "left/"}}) as b:
-        states: list[ObjectState] = b.listen(ObjectState, "object_state", LATCHED)
+        states: list[ObjectState] = b.listen_own_object()
         b.wait(lambda: states, "the node reports that it has no image")
         assert states[-1].header.frame_id == "left/table"

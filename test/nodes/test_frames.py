@@ -13,7 +13,7 @@ from builtin_interfaces.msg import Time as Stamp
 from geometry_msgs.msg import PoseStamped
 from harness import Bench, bench
 from rclpy.time import Time
-from tapping_cell_msgs.msg import ArmState, ErrorCode, GoalReport, ObjectState, PlanState
+from tapping_cell_msgs.msg import ArmState, ErrorCode, GoalReport, PlanState
 from test_camera_pose import TRUE
 from test_camera_pose import Cell as CameraCell
 from test_scara_arm import arm_cell
@@ -95,7 +95,7 @@ def test_camera_and_object_frames_are_published_on_tf() -> None:
     renderer = make_renderer(configuration, CameraTruth(), outline, 1)
     with bench(lambda: [CameraPose()], {}) as b:
         listener = Listener(b)
-        cell = CameraCell(b, b.listen(ObjectState, "object_state", LATCHED), [], renderer)
+        cell = CameraCell(b, b.listen_own_object(), [], renderer)
         last = cell.show(30)[-1]
         at = Time.from_msg(last.header.stamp)
         found = listener.wait("table", "object", at)

@@ -58,8 +58,6 @@ from tapping_cell.planning.prescribed import METHOD as PRESCRIBED
 from tapping_cell.se2 import Pose
 from tapping_cell.vision import CameraPose, View
 
-pytestmark = pytest.mark.alone
-
 TIMEOUT_S = 60.0
 PARAMETERS: dict[str, dict[str, object]] = {"operator_page": {"port": 0, "stop_port": 0}}
 
@@ -90,7 +88,7 @@ class Cell:
         self.publish("tapper_state", TapperState(state=TapperState.SAFE, interlock_closed=True))
         seen = ObjectState(visible=True, at_rest=True, frames_fused=30)
         seen.pose.pose = to_message(Pose(0.01, -0.02, 0.5))
-        self.publish("object_state", seen)
+        self.publish("object_states", ObjectStates(objects=[seen]))
         self.publish("plan_state", PlanState(state=PlanState.IDLE))
 
     @contextlib.asynccontextmanager

@@ -6,9 +6,9 @@ import math
 from pathlib import Path
 
 import pytest
-from harness import Bench
+from builtin_interfaces.msg import Time
 from tapping_cell_msgs.msg import ErrorCode, ObjectState, PlanState, TapCommand
-from test_tap_planner import acted
+from test_tap_planner import Actors, acted
 
 from tapping_cell.configuration.cell import load_cell, load_further_objects
 from tapping_cell.configuration.files import shared_folder
@@ -39,23 +39,19 @@ BETWEEN = Pose(0.01, 0.02, 0.0)
 
 
 class Other:
-    """Publishes the pose of the other object ten times per second."""
+    """The other object, which the camera sees unless its pose is None."""
 
-    def __init__(self, bench: Bench, pose: Pose | None) -> None:
-        assert bench.probe is not None
-        self._node = bench.probe
+    def __init__(self, actors: Actors, pose: Pose | None) -> None:
         self.pose = pose
-        self._publisher = self._node.create_publisher(ObjectState, "other_objects", 10)
-        self._node.create_timer(0.1, self._publish)
-        bench.wait(lambda: self._publisher.get_subscription_count() == 1, "the planner listens")
+        actors.others = self._states
 
-    def _publish(self) -> None:
+    def _states(self, stamp: Time) -> list[ObjectState]:
         pose = self.pose
         state = ObjectState(object_id=NAME, visible=pose is not None)
-        state.header.stamp = self._node.get_clock().now().to_msg()
+        state.header.stamp = stamp
         if pose is not None:
             state.pose.pose = to_message(pose)
-        self._publisher.publish(state)
+        return [state]
 
 
 def gap(command: TapCommand, other: Pose) -> float:
@@ -72,7 +68,7 @@ def gap(command: TapCommand, other: Pose) -> float:
 def test_the_object_is_moved_around_another_object() -> None:
     with acted(**PATIENT) as actors:
         actors.pose = START
-        Other(actors.bench, BETWEEN)
+        Other(actors, BETWEEN)
         actors.send(GOAL)
         end = actors.end(120.0)
         assert end.state == PlanState.REACHED, end.error_msg
@@ -83,7 +79,7 @@ def test_the_object_is_moved_around_another_object() -> None:
 def test_a_goal_occupied_by_another_object_is_refused_and_the_object_named() -> None:
     with acted(**PATIENT) as actors:
         actors.pose = START
-        Other(actors.bench, Pose(GOAL.x, GOAL.y + 0.02, 0.0))
+        Other(actors, Pose(GOAL.x, GOAL.y + 0.02, 0.0))
         actors.send(GOAL)
         words = f"'{NAME}'"
         actors.bench.wait(lambda: any(words in plan.error_msg for plan in actors.plans), "refused")
@@ -104,7 +100,7 @@ def test_an_object_without_observations_is_waited_for_and_named() -> None:
 def test_an_object_placed_in_the_path_of_a_tap_causes_replanning() -> None:
     with acted(**PATIENT) as actors:
         actors.pose, actors.arm_arrives = START, False
-        other = Other(actors.bench, None)
+        other = Other(actors, None)
         actors.send(GOAL)
         actors.bench.wait(actors.taps, "a tap")
         first = actors.taps()[0]

@@ -21,7 +21,14 @@ from harness import TIMEOUT_S, Bench, bench
 from rclpy.duration import Duration
 from ros_output import RosOutput
 from std_srvs.srv import Trigger
-from tapping_cell_msgs.msg import ArmState, ErrorCode, ObjectState, PlanState, TapCommand
+from tapping_cell_msgs.msg import (
+    ArmState,
+    ErrorCode,
+    ObjectState,
+    ObjectStates,
+    PlanState,
+    TapCommand,
+)
 from tapping_cell_msgs.msg import TapperState as TapperMessage
 from tapping_cell_msgs.srv import HoldStill
 
@@ -29,8 +36,6 @@ from tapping_cell.configuration.files import shared_folder
 from tapping_cell.nodes.cell_node import COMMAND, LATCHED
 from tapping_cell.nodes.drivers.tapper_trigger import TapperTrigger
 
-pytestmark = pytest.mark.alone
-"""The pulses last a few milliseconds and must not be delayed by other tests."""
 TRIES = 5
 """Number of attempts to measure a pulse. The expected length is 12 ms: a striker speed of 0.6 m/s
 requires 20 mJ, and 20 mJ require a pulse of 12 ms. The emulated robot measures the length from the
@@ -78,7 +83,7 @@ class Cell:
         self.commands = node.create_publisher(TapCommand, "tap_command", COMMAND)
         self.arm = node.create_publisher(ArmState, "arm_state", LATCHED)
         self.plan = node.create_publisher(PlanState, "plan_state", LATCHED)
-        self.camera = node.create_publisher(ObjectState, "object_state", LATCHED)
+        self.camera = node.create_publisher(ObjectStates, "object_states", LATCHED)
         self.stop = node.create_client(Trigger, "tapper_trigger/stop")
         self.clear = node.create_client(Trigger, "tapper_trigger/clear_fault")
         node.create_service(HoldStill, "hold_still", self._hold_still)
@@ -118,7 +123,7 @@ class Cell:
         for each in (arm, plan, seen):
             each.header.stamp = now
         self.plan.publish(plan)
-        self.camera.publish(seen)
+        self.camera.publish(ObjectStates(header=seen.header, objects=[seen]))
         self.arm.publish(arm)
         time.sleep(0.03)
         last = self.states[-1]

@@ -18,8 +18,6 @@ from tapping_cell.configuration.cell import load_cell
 from tapping_cell.nodes.camera import images
 from tapping_cell.nodes.camera.overhead_camera import OverheadCamera
 
-pytestmark = pytest.mark.alone
-
 LEVELS = (40, 80, 120)
 
 

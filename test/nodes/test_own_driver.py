@@ -30,9 +30,6 @@ from tapping_cell.nodes.conversions import to_message
 from tapping_cell.nodes.drivers.scara_arm import ScaraArm
 from tapping_cell.se2 import Pose
 
-pytestmark = pytest.mark.alone
-"""Joint states at 50 Hz must not be delayed by other tests."""
-
 STRIKE = Pose(-0.08, 0.02, 0.3)
 NAMES = ("joint_1", "joint_2", "joint_3", "joint_4")
 

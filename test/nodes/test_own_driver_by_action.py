@@ -22,7 +22,6 @@ from tapping_cell.nodes.cell_node import LATCHED
 from tapping_cell.nodes.drivers.scara_arm import ScaraArm
 
 pytest.importorskip("control_msgs", reason="control_msgs is not installed")
-pytestmark = pytest.mark.alone
 
 
 @pytest.fixture(params=["action", "auto"])

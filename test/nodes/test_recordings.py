@@ -16,7 +16,7 @@ import pytest
 from harness import Bench, bench
 from rich.console import Console
 from sensor_msgs.msg import JointState
-from tapping_cell_msgs.msg import ArmState, ErrorCode, ObjectState
+from tapping_cell_msgs.msg import ArmState, ErrorCode, ObjectState, ObjectStates
 from test_tap_series import ScriptedClient
 from trajectory_msgs.msg import JointTrajectory
 
@@ -67,7 +67,7 @@ class HeldMarker:
         self._rest = node.get_clock().now()
         self._arm = node.create_publisher(ArmState, "arm_state", LATCHED)
         self._joints = node.create_publisher(JointState, "joint_states", 10)
-        self._object = node.create_publisher(ObjectState, "object_state", LATCHED)
+        self._object = node.create_publisher(ObjectStates, "object_states", LATCHED)
         node.create_subscription(JointTrajectory, "joint_trajectory", self._on_move, COMMAND)
         node.create_timer(0.02, self._publish)
 
@@ -99,7 +99,7 @@ class HeldMarker:
             seen.pose.pose = to_message(held)
             self._arm.publish(arm)
             self._joints.publish(here)
-            self._object.publish(seen)
+            self._object.publish(ObjectStates(header=seen.header, objects=[seen]))
 
 
 @pytest.fixture

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 from harness import bench
-from tapping_cell_msgs.msg import ObjectState, StopState
+from tapping_cell_msgs.msg import StopState
 from test_camera_pose import Cell as CameraCell
 
 from tapping_cell.configuration.cell import load_cell
@@ -67,7 +67,7 @@ def test_no_camera_is_missing_with_images_of_any_camera_driver(client: CellClien
     with bench(lambda: [CameraPose()], {}) as b:
         b.wait(lambda: rows(client)["camera_pose"]["life"] == "active", "the node is active")
         assert rows(client)["overhead_camera"]["life"] == "not running"
-        film = CameraCell(b, b.listen(ObjectState, "object_state", LATCHED), [], renderer)
+        film = CameraCell(b, b.listen_own_object(), [], renderer)
 
         def has_no_camera_row() -> bool:
             film.show(5)

@@ -51,8 +51,6 @@ from tapping_cell.report.run_folder import read_run
 from tapping_cell.report.run_reader import read_illustrated_run
 from tapping_cell.se2 import Pose
 
-pytestmark = pytest.mark.alone
-
 START, GOAL = Pose(0.0, 0.0, 0.0), Pose(0.02, 0.0, 0.1)
 
 
@@ -66,7 +64,7 @@ class FakeCell:
         self.node = node
         self.plans = node.create_publisher(PlanState, plan, LATCHED)
         self.reports = node.create_publisher(GoalReport, "goal_report", LATCHED)
-        self.objects = node.create_publisher(ObjectState, "object_state", LATCHED)
+        self.objects = node.create_publisher(ObjectStates, "object_states", LATCHED)
         self.truths = node.create_publisher(PoseStamped, "ground_truth", 10)
         self.arms = node.create_publisher(ArmState, "arm_state", LATCHED)
         self.pictures = node.create_publisher(
@@ -98,7 +96,7 @@ class FakeCell:
     def see(self, pose: Pose) -> None:
         seen = self.stamp(ObjectState(visible=True, at_rest=True))
         seen.pose.pose = to_message(pose)
-        self.objects.publish(seen)
+        self.objects.publish(ObjectStates(header=seen.header, objects=[seen]))
         self.truths.publish(PoseStamped(header=seen.header, pose=to_message(pose)))
 
     def goal(self, pose: Pose = GOAL) -> PoseStamped:
@@ -165,10 +163,10 @@ def test_a_goal_produces_a_folder_whose_bag_begins_before_it(tmp_path: Path) -> 
     bag = read_bag(folder / "bag")
     assert bag.whole
     names = {topic.name for topic in bag.topics}
-    assert {"/arm_state", "/goal_report", "/plan_state", "/object_state", "/run_notes"} <= names
+    assert {"/arm_state", "/goal_report", "/plan_state", "/object_states", "/run_notes"} <= names
     assert "/camera/image_annotated/compressed" in names
     first = next(stamp for stamp, _ in bag.of("plan_state"))
-    assert min(stamp for stamp, _ in bag.of("object_state")) < first
+    assert min(stamp for stamp, _ in bag.of("object_states")) < first
     # The bag begins before the first state of the planner even for topics that the recorder
     # subscribes to only during a goal.
     assert min(stamp for stamp, _ in bag.of("ground_truth")) < first

@@ -20,8 +20,6 @@ from tapping_cell.nodes.page import server, stop_link
 from tapping_cell.nodes.page.guard import Guard
 from tapping_cell.nodes.page.stop_link import StopLink
 
-pytestmark = pytest.mark.alone
-
 TIMEOUT_S = 60.0
 PAGE_PORT = 8010
 

@@ -14,7 +14,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -22,6 +22,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rclpy
+from builtin_interfaces.msg import Time
 from geometry_msgs.msg import PoseStamped
 from harness import TIMEOUT_S, Bench, bench
 from rclpy.context import Context
@@ -31,6 +32,7 @@ from tapping_cell_msgs.msg import (
     ArmState,
     GoalReport,
     ObjectState,
+    ObjectStates,
     PlanState,
     TapCommand,
     TapperState,
@@ -80,6 +82,7 @@ class Actors:
     tapper_answers: int | None = TapperState.FIRED
     tapper_active: bool = True
     references: tuple[int, ...] = tuple(range(101, 109))
+    others: Callable[[Time], list[ObjectState]] = lambda stamp: []
     commands: list[TapCommand] = field(default_factory=list)
     plans: list[PlanState] = field(default_factory=list)
     _tap: TapCommand | None = None
@@ -90,7 +93,7 @@ class Actors:
         assert node is not None
         self._node = node
         self._lock = threading.Lock()
-        self._object = node.create_publisher(ObjectState, "object_state", LATCHED)
+        self._object = node.create_publisher(ObjectStates, "object_states", LATCHED)
         self._arm = node.create_publisher(ArmState, "arm_state", LATCHED)
         self._tapper = node.create_publisher(TapperState, "tapper_state", LATCHED)
         self.goals = node.create_publisher(PoseStamped, "goal_pose", COMMAND)
@@ -130,7 +133,8 @@ class Actors:
                 seen.pose.pose = to_message(self.pose)
                 seen.references_used = list(self.references)
                 seen.pose.covariance = covariance_to_message(np.diag([1e-10, 1e-10, 1e-8]))
-                self._object.publish(seen)
+                objects = [seen, *self.others(now)]
+                self._object.publish(ObjectStates(header=seen.header, objects=objects))
             if self.arm_active:
                 code, sentence = self.arm_error
                 idle = self.arm_state == ArmState.IDLE

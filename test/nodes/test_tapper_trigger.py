@@ -20,7 +20,7 @@ from std_srvs.srv import Trigger
 from tapping_cell_msgs.msg import (
     ArmState,
     ErrorCode,
-    ObjectState,
+    ObjectStates,
     PlanState,
     TapCommand,
     TapperState,
@@ -50,7 +50,7 @@ class Cell:
         self.commands = node.create_publisher(TapCommand, "tap_command", COMMAND)
         self.arm = node.create_publisher(ArmState, "arm_state", LATCHED)
         self.plan = node.create_publisher(PlanState, "plan_state", LATCHED)
-        self.camera = node.create_publisher(ObjectState, "object_state", LATCHED)
+        self.camera = node.create_publisher(ObjectStates, "object_states", LATCHED)
         self.stop = node.create_publisher(Bool, "emergency_stop", LATCHED)
         self.clear = node.create_client(Trigger, "tapper_trigger/clear_fault")
         self.arm_holds = True

@@ -54,10 +54,14 @@ def test_foxglove_shows_topics_and_fields_of_the_cell() -> None:
         if key.lower().endswith("topic") or key == "topicToRender":
             shown.add(value)
         if key == "value":
-            topic, field = re.fullmatch(r"(/\w+)\.(\w+)(?:\.@.+)?", value).groups()
+            topic, *fields = re.sub(r"\[0\]|\.@.+", "", value).split(".")
             shown.add(topic)
             kind = "".join(word.capitalize() for word in topic.strip("/").split("_"))
             message = (ROOT / "msg_defs" / "msg" / f"{kind}.msg").read_text(encoding="utf-8")
+            *lists, field = fields
+            for name in lists:
+                kind = re.search(rf"^(\w+)\[\] {name}\b", message, re.MULTILINE)[1]
+                message = (ROOT / "msg_defs" / "msg" / f"{kind}.msg").read_text(encoding="utf-8")
             assert re.search(rf"^\w+ {field}\b", message, re.MULTILINE), value
     assert len(shown) >= 9
     assert {name.removeprefix("/") for name in shown} - OF_OTHERS <= set(ROWS)

@@ -12,6 +12,9 @@ from typing import Any
 import rclpy
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
+from tapping_cell_msgs.msg import ObjectState, ObjectStates
+
+from tapping_cell.nodes.cell_node import LATCHED
 
 TIMEOUT_S = 60.0
 """Timeout, long enough for a slow and busy machine. Tests wait for events, not for a fixed time."""
@@ -31,6 +34,18 @@ class Bench:
         assert self.probe is not None
         self.probe.create_subscription(kind, topic, messages.append, profile)
         return messages
+
+    def listen_own_object(self) -> list[ObjectState]:
+        """Return a list that receives the states of the cell's own object from now on."""
+        states: list[ObjectState] = self.received.setdefault("own object", [])
+        assert self.probe is not None
+        self.probe.create_subscription(
+            ObjectStates,
+            "object_states",
+            lambda message: states.append(message.objects[0]),
+            LATCHED,
+        )
+        return states
 
     def wait(self, condition: Callable[[], object], what: str, patience: float = TIMEOUT_S) -> None:
         """Wait until the condition holds; otherwise fail with ``what`` and the last message of each

@@ -1,5 +1,5 @@
-"""Parts of the cell's logic as the tests use them: the handling of goals, and replies of the
-tapper's board."""
+"""Parts of the cell's logic as the tests use them: the handling of goals, messages of the camera,
+and replies of the tapper's board."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from tapping_cell.hardware.tapper_protocol import Mode, Reply, Result, State
 from tapping_cell.logic.clock import Now
 from tapping_cell.logic.goal_handling import GoalHandling
 from tapping_cell.logic.other_objects import OtherObjects
+from tapping_cell.messages import ObjectState, ObjectStates
 
 
 def goal_handling(
@@ -25,6 +26,11 @@ def goal_handling(
     given = {"adapt": True, "probe": False, "keep_for": "", "time_limit": 600.0, **options}
     objects = OtherObjects(tuple(others), 5.0, 0.002)
     return GoalHandling(cell or load_cell(), planner, objects, now, **given)
+
+
+def alone(state: ObjectState) -> ObjectStates:
+    """Return the message of a camera that sees the cell's only object in this state."""
+    return ObjectStates(header=state.header, objects=[state])
 
 
 def board_reply(state: State, shot: int = 0) -> Reply:

@@ -32,6 +32,7 @@ KINDS = {
     "goal_report": OURS + "GoalReport",
     "ground_truth": "geometry_msgs/msg/PoseStamped",
     "object_state": OURS + "ObjectState",
+    "object_states": OURS + "ObjectStates",
     "plan_state": OURS + "PlanState",
     "tap_command": OURS + "TapCommand",
 }
@@ -79,6 +80,8 @@ class MadeRun:
     truth_off: float = 0.0001
     truth: bool = True
     namespace: str = ""
+    old_topic: bool = False
+    """Whether the object's states are on the topic of version 0.1."""
     seen_before: bool = True
     """Whether the recorder received an observation before the first tap."""
     errors: list[tuple[float, int, str]] = field(default_factory=list)
@@ -135,7 +138,12 @@ class MadeRun:
         set_stamp(seen.header.stamp, at)
         seen.visible = seen.at_rest = True
         set_pose(seen.pose.pose, pose)
-        self.write_message("object_state", at, seen)
+        if self.old_topic:
+            self.write_message("object_state", at, seen)
+        else:
+            states = blank(KINDS["object_states"])
+            states.header, states.objects = seen.header, [seen]
+            self.write_message("object_states", at, states)
         if self.truth:
             true = blank(KINDS["ground_truth"])
             set_stamp(true.header.stamp, at + 0.01)

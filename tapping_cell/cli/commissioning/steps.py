@@ -94,7 +94,7 @@ def ports(session: Session) -> Proof:
     if cell.file.tapper.dialect == "io":
         raise StepFailed(
             "tapper.dialect is io: commissioning works in set-up mode, which needs the tapper's"
-            " board; without the board, follow docs/how-to/fire_by_a_digital_output.md"
+            ' board; without the board, follow docs/hardware.md, "A digital output"'
         )
     for name, now in (("arm", cell.arm.port), ("tapper", cell.file.tapper.port)):
         port = session.ask(f"serial port of the {name} (found: {known or 'none'})", now)

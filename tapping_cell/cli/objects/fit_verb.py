@@ -1,7 +1,7 @@
 """Fit an object's friction, torque factor and impact to records of single taps.
 
 RECORDS are folders with experiment.yaml, run_01.csv ... and tracks, as written by single-tap, or
-CSV files from another source (docs/calibration.md describes the columns). Unusable rows are
+CSV files from another source (docs/objects.md describes the columns). Unusable rows are
 reported with file and row, and ignored.
 
 Shape and mass are taken from --object, or from the object in the records' header. With --output,

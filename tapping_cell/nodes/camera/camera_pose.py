@@ -3,9 +3,9 @@
 The other objects of the cell (key ``objects`` of the cell file, parameter ``other_object_files``)
 are usually measured in turn, at most one per image. However, the object that ``plan_state`` names
 and every object that moved recently are measured in every image. While the planner waits for
-observations, all objects are measured in every image. Each measurement of another object is
-published on ``other_objects``. The latest states of all objects are published on
-``object_states``, with the outlines of the objects that no object file describes.
+observations, all objects are measured in every image. The latest states of
+all objects are published on ``object_states``, and the outlines of the objects that no object file
+describes on ``unknown_objects``.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from numpy.typing import NDArray
 from rclpy.time import Time
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
-from tapping_cell_msgs.msg import ErrorCode, ObjectState, ObjectStates, PlanState
+from tapping_cell_msgs.msg import ErrorCode, ObjectState, ObjectStates, PlanState, UnknownObjects
 
 from tapping_cell.configuration.cell import Cell, load_further_objects
 from tapping_cell.configuration.objects import ObjectFile
@@ -175,9 +175,8 @@ class CameraPose(CellNode[Parameters]):
         self._last = ObjectState()
         self._notice = ""
         self._pose_publisher = self.create_publisher(PoseWithCovarianceStamped, "object_pose", 10)
-        self._state_publisher = self.create_publisher(ObjectState, "object_state", LATCHED)
-        self._others_publisher = self.create_publisher(ObjectState, "other_objects", 10)
         self._states_publisher = self.create_publisher(ObjectStates, "object_states", LATCHED)
+        self._unknown_publisher = self.create_publisher(UnknownObjects, "unknown_objects", LATCHED)
         self._detections = DetectionPublisher(self)
         self._camera_publisher = self.create_publisher(PoseStamped, "camera/pose", LATCHED)
         self._annotated = AnnotatedImages(
@@ -216,7 +215,9 @@ class CameraPose(CellNode[Parameters]):
         if self._cell.file.arm is not None:
             self._arm = ArmView(self, self._cell)
             if self.settings.search_unknown_objects:
-                self._unknown = UnknownSearch(self, self._cell, self._other_files, self._arm)
+                self._unknown = UnknownSearch(
+                    self, self._cell, self._other_files, self._arm, self._unknown_publisher
+                )
 
     def cleanup(self) -> None:
         """Discard the track and the unknown objects."""
@@ -327,7 +328,7 @@ class CameraPose(CellNode[Parameters]):
         sentence = image.explain(observation.sentence, observation.visible)
         observation = self._explained(self._cell_object, replace(observation, sentence=sentence))
         others = {n: self._explained(self._other_files[n], one) for n, one in others.items()}
-        self._publish(message, observation)
+        self._publish(message, observation, others)
         self._count_late(observation)
         self._publish_camera(message)
         self._search_unknown(grey, stamp)
@@ -335,7 +336,6 @@ class CameraPose(CellNode[Parameters]):
         self._busy_seconds += time.perf_counter() - began
         shown = next(((self._other_files[n], others[n]) for n in tapped if n in others), None)
         self._annotate(message, grey, *(shown or (self._cell_object, observation)))
-        self._publish_others(message, others)
 
     @property
     def _cell_object(self) -> ObjectFile:
@@ -423,29 +423,28 @@ class CameraPose(CellNode[Parameters]):
             )
             self._make_trackers(self._camera, self._cell)
 
-    def _publish_others(self, picture: Image, others: Mapping[int, Observation]) -> None:
-        for number, observation in others.items():
-            state = _state_of(picture, self._other_files[number].name, observation)
-            self._other_states[number] = state
-            self._others_publisher.publish(state)
-        states = ObjectStates(objects=[self._last, *self._other_states])
-        states.header = self._last.header
-        if self._unknown is not None:
-            self._unknown.enter(states)
-        self._states_publisher.publish(states)
-        self._detections.publish(states, (self._cell_object, *self._other_files))
-
-    def _publish(self, picture: Image, observation: Observation) -> None:
-        assert self._cell is not None
-        state = _state_of(picture, self._cell.object.name, observation)
+    def _publish(
+        self, picture: Image, observation: Observation, others: Mapping[int, Observation]
+    ) -> None:
+        for number, other in others.items():
+            self._other_states[number] = _state_of(picture, self._other_files[number].name, other)
+        state = self._last = _state_of(picture, self._cell_object.name, observation)
+        self._publish_states()
         if state.visible:
             pose = PoseWithCovarianceStamped(header=state.header, pose=state.pose)
             self._pose_publisher.publish(pose)
             stamp = state.header.stamp
             self._broadcaster.send([transform(TABLE, "object", state.pose.pose, stamp)])
-        self._state_publisher.publish(state)
-        self._last = state
         self._note(observation)
+
+    def _publish_states(self) -> None:
+        states = ObjectStates(
+            header=self._last.header,
+            objects=[self._last, *self._other_states],
+            searches_unknown_objects=self._unknown is not None and self._unknown.searches,
+        )
+        self._states_publisher.publish(states)
+        self._detections.publish(states, (self._cell_object, *self._other_files))
 
     def _note(self, observation: Observation) -> None:
         """Log a warning that does not invalidate the pose, such as an occluded reference marker."""
@@ -474,7 +473,7 @@ class CameraPose(CellNode[Parameters]):
     def _refuse(self, picture: Image, code: int, sentence: str) -> None:
         assert self._cell is not None
         self._last = _empty_state(picture, self._cell.object.name, code, sentence)
-        self._state_publisher.publish(self._last)
+        self._publish_states()
 
     def _annotate(
         self,

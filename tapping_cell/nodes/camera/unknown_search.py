@@ -10,11 +10,14 @@ import numpy as np
 from geometry_msgs.msg import Point32, Polygon
 from numpy.typing import NDArray
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 from rclpy.time import Time
-from tapping_cell_msgs.msg import ArmState, ObjectState, ObjectStates
+from tapping_cell_msgs.msg import ArmState, ObjectState
+from tapping_cell_msgs.msg import UnknownObjects as Outlines
 
 from tapping_cell.configuration.cell import Cell
 from tapping_cell.configuration.objects import ObjectFile
+from tapping_cell.logic.frames import TABLE
 from tapping_cell.nodes.camera.arm_view import ArmView
 from tapping_cell.nodes.cell_node import LATCHED
 from tapping_cell.nodes.conversions import from_message
@@ -25,22 +28,28 @@ PERIOD_S = 0.5
 """Time between two searches."""
 AWAITED_PERIOD_S = 0.15
 """Time between two searches while the planner waits for an observation."""
-BEFORE_FIRST_SEARCH = Time(nanoseconds=1)
-"""Time of the last search while there was none. Zero would mean that there will be none."""
 MEMORY_S = 2.0
 """Time for which an object that is no longer measured is still expected at its last pose."""
 
 
 class UnknownSearch:
-    """Searches the images of a cell with an arm, and keeps the outlines found.
+    """Searches the images of a cell with an arm, and publishes the outlines found.
 
     A cell without an arm is never searched, because the strikers of its fixed tappers are always in
     the image and would be taken for objects.
     """
 
-    def __init__(self, node: Node, cell: Cell, others: Sequence[ObjectFile], arm: ArmView) -> None:
-        """Subscribe to the arm's state."""
+    def __init__(
+        self,
+        node: Node,
+        cell: Cell,
+        others: Sequence[ObjectFile],
+        arm: ArmView,
+        publisher: Publisher,
+    ) -> None:
+        """Subscribe to the arm's state. ``publisher``: of ``unknown_objects``."""
         self._node = node
+        self._publisher = publisher
         self._arm = arm
         self._shapes: dict[str, tuple[NDArray[np.float64], float]] = {
             file.name: (np.array(file.shape.outline()), file.height)
@@ -70,7 +79,8 @@ class UnknownSearch:
         states: Sequence[ObjectState],
         awaited: bool,
     ) -> None:
-        """Search an image, unless something moves in it or the last search was recent.
+        """Search an image and publish what was found, unless something moves in it or the last
+        search was recent.
 
         ``states``: current states of the cell's objects; ``awaited``: the planner waits for an
         observation.
@@ -92,18 +102,20 @@ class UnknownSearch:
         standing = [self._standing(state) for state in recent]
         self._found.search(image, view, standing, self._arm.bars())
         self._searched_at = stamp
+        message = Outlines(
+            outlines=[
+                Polygon(points=[Point32(x=float(x), y=float(y)) for x, y in outline])
+                for outline in self.outlines
+            ]
+        )
+        message.header.frame_id = TABLE
+        message.header.stamp = Time(nanoseconds=round(1e9 * stamp)).to_msg()
+        self._publisher.publish(message)
 
-    def enter(self, message: ObjectStates) -> None:
-        """Enter the outlines and the time of the last search into a message."""
-        if self._searched_at == -math.inf:
-            if self._arm.is_known:
-                message.unknown_searched_at = BEFORE_FIRST_SEARCH.to_msg()
-            return
-        message.unknown_objects = [
-            Polygon(points=[Point32(x=float(x), y=float(y)) for x, y in outline])
-            for outline in self.outlines
-        ]
-        message.unknown_searched_at = Time(nanoseconds=round(1e9 * self._searched_at)).to_msg()
+    @property
+    def searches(self) -> bool:
+        """Whether the search has begun, or begins once nothing moves."""
+        return self._searched_at > -math.inf or self._arm.is_known
 
     def _on_arm(self, message: ArmState) -> None:
         self._clear = message.clear_of_camera and message.state == ArmState.IDLE

@@ -27,7 +27,6 @@ DISCOVERY_S = 1.5
 STATES = {
     "arm_state": messages.ArmState,
     "tapper_state": messages.TapperState,
-    "object_state": messages.ObjectState,
     "object_states": messages.ObjectStates,
     "plan_state": messages.PlanState,
     "emergency_stop": messages.Bool,

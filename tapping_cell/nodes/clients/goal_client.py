@@ -15,6 +15,7 @@ from geometry_msgs.msg import PoseStamped
 from tapping_cell_msgs.action import PositionObject
 from tapping_cell_msgs.msg import (
     ObjectState,
+    ObjectStates,
     PlannedTap,
     PlanState,
     TapRecord,
@@ -22,6 +23,7 @@ from tapping_cell_msgs.msg import (
 from tapping_cell_msgs.srv import ConfirmTap
 
 from tapping_cell.logic.goal_watch import FINAL_STATES
+from tapping_cell.nodes.cell_node import LATCHED
 from tapping_cell.nodes.clients.action_follower import ActionFollower
 from tapping_cell.nodes.conversions import from_message, position_goal
 from tapping_cell.report.words import PHASES
@@ -83,6 +85,7 @@ class GoalClient(ActionFollower[Event]):
     def __init__(self, name: str = "goal_client", namespace: str = "") -> None:
         super().__init__(name, namespace, PositionObject, "position_object")
         self.object_state: ObjectState | None = None
+        """Last state of the cell's own object."""
         self.true_pose: Pose | None = None
         self._true_pose_received = 0.0
         self._taps_received = 0
@@ -90,8 +93,11 @@ class GoalClient(ActionFollower[Event]):
         self._proposed = 0
         self._confirm = self.node.create_client(ConfirmTap, "confirm_tap")
         subscribe = self.node.create_subscription
-        subscribe(ObjectState, "object_state", self.keeper("object_state"), 10)
+        subscribe(ObjectStates, "object_states", self._on_states, LATCHED)
         subscribe(PoseStamped, "ground_truth", self._on_ground_truth, 10)
+
+    def _on_states(self, message: ObjectStates) -> None:
+        self.object_state = next(iter(message.objects), None)
 
     def missing(self) -> list[str]:
         """Return the conditions that still prevent the cell from accepting a goal, as text; empty

@@ -20,7 +20,7 @@ from rclpy.serialization import deserialize_message
 from tapping_cell_msgs.action import SingleTap
 from tapping_cell_msgs.msg import (
     ArmState,
-    ObjectState,
+    ObjectStates,
     PlanState,
     TapCommand,
     TapperState,
@@ -49,7 +49,7 @@ Discovery may also lose a running server, but for a shorter time."""
 LATCHED_QUALITY = Quality(1, latched=True)
 RECORDED: tuple[tuple[type, str, Any, Quality], ...] = (
     (PoseWithCovarianceStamped, "object_pose", 50, Quality()),
-    (ObjectState, "object_state", 50, LATCHED_QUALITY),
+    (ObjectStates, "object_states", 50, LATCHED_QUALITY),
     (TapCommand, "tap_command", COMMAND, Quality()),
     (ArmState, "arm_state", LATCHED, LATCHED_QUALITY),
     (TapperState, "tapper_state", LATCHED, LATCHED_QUALITY),

@@ -100,7 +100,6 @@ class TapperTrigger(DriverNode[Parameters, TapperBoards | OutputTapperDriver]):
         self.host.subscribes(messages.TapCommand, "tap_command", COMMAND)
         self.host.subscribes(messages.ArmState, "arm_state", LATCHED)
         self.host.subscribes(messages.PlanState, "plan_state", LATCHED)
-        self.host.subscribes(messages.ObjectState, "object_state", LATCHED)
         self.host.subscribes(messages.ObjectStates, "object_states", LATCHED)
         self.host.subscribes(messages.Bool, enabling.TOPIC, COMMAND)
         self.host.calls(messages.HoldStill, "hold_still")

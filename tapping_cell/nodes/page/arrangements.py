@@ -15,6 +15,7 @@ from tapping_cell_msgs.msg import (
     ObjectProgress,
     ObjectState,
     ObjectStates,
+    UnknownObjects,
 )
 
 from tapping_cell.configuration import assembly
@@ -82,6 +83,7 @@ class Arrangements:
         subscribe = self._node.create_subscription
         return [
             subscribe(ObjectStates, "object_states", self._on_states, LATCHED),
+            subscribe(UnknownObjects, "unknown_objects", self._on_unknown, LATCHED),
             subscribe(ArrangementState, "arrangement_state", self._on_progress, LATCHED),
         ]
 
@@ -144,7 +146,9 @@ class Arrangements:
 
     def _on_states(self, message: ObjectStates) -> None:
         self._states = {state.object_id: state for state in message.objects}
-        self._unknown = len(message.unknown_objects)
+
+    def _on_unknown(self, message: UnknownObjects) -> None:
+        self._unknown = len(message.outlines)
 
     def _on_progress(self, message: ArrangementState) -> None:
         goals = {o.object_id: from_message(o.goal_pose) for o in message.objects if o.has_goal}

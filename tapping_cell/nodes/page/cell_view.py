@@ -13,7 +13,7 @@ from tapping_cell_msgs.msg import (
     ArmState,
     ErrorCode,
     GoalReport,
-    ObjectState,
+    ObjectStates,
     PlannedTap,
     PlanState,
     StopState,
@@ -148,10 +148,13 @@ class CellView:
     def device_topics(self) -> list[Topic]:
         """Return the topics of camera_pose and of the devices, except for ``~/stop_state``."""
         return [
-            (ObjectState, "object_state", lambda state: self._monitor.on_object(state, _now())),
+            (ObjectStates, "object_states", self._on_objects),
             (ArmState, "arm_state", self._on_arm),
             (TapperState, "tapper_state", self._on_tapper),
         ]
+
+    def _on_objects(self, states: ObjectStates) -> None:
+        self._monitor.on_objects(states, _now())
 
     def _on_arm(self, state: ArmState) -> None:
         self._monitor.on_arm(state, _now())

@@ -154,9 +154,8 @@ class TapPlanner(LogicNode[Parameters]):
                 cast(Callable[[PoseStamped], None], self._on_goal_pose),
                 profile,
             )
-        host.subscribes(messages.ObjectState, "object_state", LATCHED)
         host.subscribes(messages.ObjectStates, "object_states", LATCHED)
-        host.subscribes(messages.ObjectState, "other_objects", 10)
+        host.subscribes(messages.UnknownObjects, "unknown_objects", LATCHED)
         host.subscribes(messages.PoseStamped, "camera/pose", LATCHED)
         host.subscribes(messages.ArmState, "arm_state", LATCHED)
         host.subscribes(messages.TapperState, "tapper_state", LATCHED)

@@ -31,7 +31,6 @@ from tapping_cell_msgs.msg import (
     ErrorCode,
     GoalReport,
     ObjectContact,
-    ObjectState,
     ObjectStates,
     PlanState,
     TapCommand,
@@ -108,7 +107,7 @@ STATES: dict[str, type] = {
     "arm_state": ArmState,
     "goal_report": GoalReport,
     "markers": MarkerArray,
-    "object_state": ObjectState,
+    "object_states": ObjectStates,
     "plan_state": PlanState,
     "tapper_state": TapperState,
     "arrangement_state": ArrangementState,
@@ -131,7 +130,6 @@ FRAMES: dict[str, type] = {
     "camera/camera_info": CameraInfo,
     "ground_truth": PoseStamped,
     "object_pose": PoseWithCovarianceStamped,
-    "object_states": ObjectStates,
     "true_states": ObjectStates,
 }
 """Topics with a message per image: read only while a goal is active."""

@@ -97,6 +97,7 @@ def test_the_home_folder_in_the_path_of_a_further_object_is_expanded(folder, mon
         ("objects/aluminium_disk.yaml", "height", 0.004, "passes over the object"),
         ("objects/aluminium_disk.yaml", "marker.size", 0.09, "extends beyond"),
         ("cell.yaml", "arm.strike_height", 0.004, "scrapes the table"),
+        ("cell.yaml", "tapper.tip_radius", 0.0108, "if it is the tip's diameter"),
         ("cell.yaml", "tapper.stroke", 0.05, "for 'tapper.stroke'"),
         ("cell.yaml", "arm.travel_height", 0.011, "above the object"),
         ("cell.yaml", "arm.travel_height", 0.3, "lifts the tip to at most"),

@@ -119,7 +119,7 @@ def test_the_mode_is_stored_before_the_first_step_has_succeeded(tmp_path, monkey
 
 
 def test_the_examples_use_one_folder_for_the_simulation_and_another_for_hardware() -> None:
-    guide = Path(__file__).parents[3] / "docs" / "how-to" / "commission_a_cell.md"
+    guide = Path(__file__).parents[3] / "docs" / "build" / "README.md"
     for text in (commission.__doc__ or "", guide.read_text(encoding="utf-8")):
         folders = re.findall(r"^ {4}python -m tapping_cell commission .*--out (\w+)$", text, re.M)
         assert len(folders) == len(set(folders)) == 2

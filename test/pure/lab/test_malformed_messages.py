@@ -29,7 +29,7 @@ from tapping_cell.messages import (
 )
 from tapping_cell.se2 import Pose
 
-TOPICS = ("tap_command", "arm_state", "tapper_state", "plan_state", "object_state", "camera/pose")
+TOPICS = ("tap_command", "arm_state", "tapper_state", "plan_state", "object_states", "camera/pose")
 FLOATS = (math.nan, math.inf, -math.inf, 1e200, -1e200, 5e-324)
 INTEGERS = {
     "sec": (-(2**31), 2**31 - 1),

@@ -49,6 +49,7 @@ from tapping_cell.messages import (
     PositionObject,
     TapCommand,
     TapperState,
+    UnknownObjects,
 )
 from tapping_cell.messages import Pose as PoseMessage
 from tapping_cell.planning.arrangement import ArrangementSession
@@ -147,11 +148,11 @@ class Table(VirtualNode):
             state.pose.covariance = COVARIANCE.reshape(-1).tolist()
             states.append(state)
             self.measured[name] = state
-        self.publish("object_state", states[0])
-        self.publish(
-            "object_states",
-            ObjectStates(objects=states, unknown_objects=self.unknown, unknown_searched_at=stamp),
-        )
+        message = ObjectStates(objects=states, searches_unknown_objects=True)
+        unknown = UnknownObjects(outlines=self.unknown)
+        message.header.stamp = unknown.header.stamp = stamp
+        self.publish("unknown_objects", unknown)
+        self.publish("object_states", message)
         idle = self.arm_state == ArmState.IDLE
         tap_id = self.tap.tap_id if self.tap is not None else 0
         arm = ArmState(
@@ -408,11 +409,13 @@ def test_a_problem_of_the_image_is_named(cell: Table, code: int) -> None:
     publish = cell.network.publish
 
     def refuse(sender: str, topic: str, message: Any) -> None:
-        if topic == "object_state":
-            message = ObjectState(error_code=code, error_msg="the image is dark")
-            message.header.stamp = cell.stamp()
-        if topic != "object_states":
-            publish(sender, topic, message)
+        if topic == "object_states":
+            own = ObjectState(
+                object_id=cell.names[0], error_code=code, error_msg="the image is dark"
+            )
+            own.header.stamp = message.header.stamp
+            message.objects[0] = own
+        publish(sender, topic, message)
 
     cell.network.publish = refuse  # type: ignore[method-assign]
     cell.send({cell.names[1]: moved(cell.poses[cell.names[1]], 0.03, 0.0)})
@@ -714,6 +717,7 @@ def test_every_transition_of_an_open_object_leads_to_its_stated_state() -> None:
 
 def states_of(**poses: Pose) -> ObjectStates:
     message = ObjectStates()
+    message.header.stamp.sec = 10
     for name, pose in poses.items():
         state = ObjectState(object_id=name, visible=True)
         state.header.stamp.sec = 10
@@ -726,8 +730,8 @@ def test_the_last_check_uses_the_tapped_object() -> None:
     now = Now(10.0, 10_000_000_000)
     here, there, away = Pose(0.0, 0.0, 0.0), Pose(0.1, 0.0, 0.0), Pose(0.15, 0.0, 0.0)
     peers = TapperPeers(PeerLimits())
-    own = states_of(own=here).objects[0]
-    peers.on_object_state(own, now)
+    own = states_of(own=here)
+    peers.on_object_states(own, now)
 
     def reason(name: str, planned: Pose) -> int:
         peers.begin_tap(name, 0.0)
@@ -750,7 +754,7 @@ def test_the_last_check_uses_the_tapped_object() -> None:
     peers.on_object_states(late, now)
     assert reason("other", there) == ErrorCode.NONE
     later = Now(10.0 + PeerLimits().unseen + 0.1, 10_600_000_000)
-    peers.on_object_state(own, later)
+    peers.on_object_states(own, later)
     peers.begin_tap("other", 0.0)
     assert peers._disturbance(there, later)[0] == ErrorCode.OBJECT_NOT_SEEN  # type: ignore[index]
     assert math.isfinite(later.steady)

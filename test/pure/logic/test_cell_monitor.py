@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from logic_parts import alone
 
 from tapping_cell.logic.cell_monitor import CellMonitor
 from tapping_cell.logic.clock import Now, to_stamp
@@ -17,7 +18,7 @@ def at(time: float) -> Now:
 
 
 def seen_at(exposed: float) -> ObjectState:
-    state = ObjectState(visible=True, at_rest=True, frames_fused=9)
+    state = ObjectState(object_id="disk", visible=True, at_rest=True, frames_fused=9)
     state.header.stamp = to_stamp(round(1e9 * exposed))
     covariance = np.zeros((6, 6))
     covariance[0, 0] = covariance[1, 1] = covariance[5, 5] = 1e-10
@@ -29,9 +30,9 @@ def seen_at(exposed: float) -> ObjectState:
 def test_a_tap_is_not_planned_on_an_image_that_arrives_late(age: float, usable: bool) -> None:
     monitor = CellMonitor(LIMIT_S)
     for step in range(20):  # the camera's clock is known from images without delay
-        monitor.on_object(seen_at(T + 0.1 * step), at(T + 0.1 * step))
+        monitor.on_objects(alone(seen_at(T + 0.1 * step)), at(T + 0.1 * step))
     now = T + 2.0 + age
-    monitor.on_object(seen_at(T + 2.0), at(now))
+    monitor.on_objects(alone(seen_at(T + 2.0)), at(now))
     assert monitor.usable(after=T, frames=5, now=at(now)) is usable
 
 
@@ -44,7 +45,7 @@ def test_an_open_guard_is_named_before_a_tap_is_planned(closed: bool) -> None:
     )
     tapper.header.stamp = to_stamp(round(1e9 * T))
     monitor.on_tapper(tapper, at(T))
-    monitor.on_object(seen_at(T), at(T))
+    monitor.on_objects(alone(seen_at(T)), at(T))
     missing = monitor.missing(at(T))
     assert (missing is None) is closed
     assert missing is None or missing[0] == ErrorCode.TAPPER_INTERLOCK_OPEN

@@ -6,6 +6,7 @@ import math
 from dataclasses import replace
 
 import pytest
+from logic_parts import alone
 from test_permit import CELL, HEIGHT, START, STRIKE, TAP, Pair, at, board, jobs, messages
 
 from tapping_cell.configuration.cell import Cell
@@ -151,7 +152,7 @@ def waits(seconds: float, *, sees: str = "", height: float = HEIGHT + 0.05) -> t
             seen = ObjectState(object_id=sees, visible=True, at_rest=True)
             seen.pose.pose = to_message(Pose(0.1, 0.0, 0.0))
             seen.header.stamp = to_stamp(at(steady).ros)
-            tapper.on_message("object_state", seen, at(steady))
+            tapper.on_message("object_states", alone(seen), at(steady))
             travels = arm(ArmState.MOVING, STRIKE @ Pose(0.1, 0.0, 0.0), steady, height=height)
             tapper.on_message("arm_state", travels, at(steady))
         tapper.on_tick(at(steady))

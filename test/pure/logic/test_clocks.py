@@ -11,6 +11,7 @@ from dataclasses import replace
 import pytest
 from hypothesis import assume, example, given
 from hypothesis import strategies as st
+from logic_parts import alone
 
 from tapping_cell.logic.cell_monitor import NAMES, QUICKEST_IMAGE_S, CellMonitor
 from tapping_cell.logic.clock import NANOSECONDS, Now, to_stamp
@@ -66,7 +67,7 @@ def monitor_with(ahead: float, delays: list[float]) -> tuple[CellMonitor, float]
     monitor = CellMonitor(silence_limit=0.5)
     received = 0.0
     for taken, received in arrivals(delays):
-        monitor.on_object(seen(taken, ahead), at(received))
+        monitor.on_objects(alone(seen(taken, ahead)), at(received))
     arm = ArmState(state=ArmState.IDLE, clear_of_camera=True)
     monitor.on_arm(arm, at(received))
     monitor.on_tapper(TapperState(state=TapperState.SAFE, interlock_closed=True), at(received))
@@ -131,7 +132,7 @@ def test_observations_before_the_withdrawal_do_not_count_as_later_ones(
         taken = number / 30
         received = max(received, taken + delay)
         least = min(least, received - taken)
-        monitor.on_object(seen(taken, ahead), at(received))
+        monitor.on_objects(alone(seen(taken, ahead)), at(received))
         # Images taken before the withdrawal are certain to be refused only if the delay of the
         # fastest image is at most QUICKEST_IMAGE_S longer than that of the arm's message.
         bounded = least <= arm_delay + QUICKEST_IMAGE_S
@@ -144,7 +145,7 @@ def test_images_that_seem_old_after_a_clock_step_are_reported_as_differing_clock
     """The clock of the only computer is set back."""
     monitor, received = monitor_with(0.0, [0.01] * 30)
     now = Now(received + 0.1, at(received + 0.1 - step).ros)
-    monitor.on_object(seen(received + 0.09, -step), now)
+    monitor.on_objects(alone(seen(received + 0.09, -step)), now)
     code, sentence = monitor.blind(10.0, 10, now)
     assert code == ErrorCode.CLOCKS_DIFFER, sentence
 
@@ -177,7 +178,7 @@ def test_a_tapper_fires_whichever_clock_is_ahead(arm_ahead, camera_ahead, delays
         plan = PlanState(state=PlanState.FIRING)
         stamp_of(plan, taken, 0.0)
         peers.on_plan_state(plan, at(received))
-        peers.on_object_state(seen(taken, camera_ahead), at(received))
+        peers.on_object_states(alone(seen(taken, camera_ahead)), at(received))
     assert peers.check_firing(7, Pose(0.0, 0.0, 0.0), Pose(0.0, 0.0, 0.0), at(received)) is None
 
 
@@ -202,7 +203,10 @@ def test_a_message_is_as_old_as_its_stamp_or_without_a_stamp_as_its_arrival(
         message, receive = {
             "arm": (arm, peers.on_arm_state),
             "planner": (PlanState(state=PlanState.FIRING), peers.on_plan_state),
-            "camera": (seen(0.0, 0.0), peers.on_object_state),
+            "camera": (
+                seen(0.0, 0.0),
+                lambda state, now: peers.on_object_states(alone(state), now),
+            ),
         }[who]
         message.header.stamp = Time()
         if stamped:
@@ -240,9 +244,9 @@ def test_a_tapper_that_needs_a_camera_waits_for_its_first_image(needed: bool) ->
         assert (reason is not None and reason[0] == ErrorCode.CAMERA_SILENT) == needed
     blind = seen(1.0, 0.0)
     blind.error_code = ErrorCode.IMAGE_INVALID
-    peers.on_object_state(blind, at(1.0))
+    peers.on_object_states(alone(blind), at(1.0))
     assert (peers.check_firing(7, here, here, at(1.0)) is not None) == needed
-    peers.on_object_state(seen(1.0, 0.0), at(1.0))
+    peers.on_object_states(alone(seen(1.0, 0.0)), at(1.0))
     assert peers.check_firing(7, here, here, at(1.0)) is None
 
 
@@ -261,7 +265,7 @@ def test_an_image_that_cannot_be_measured_is_no_message_of_the_camera(code: int)
         arm = ArmState(state=ArmState.IN_POSITION, tap_id=7)
         stamp_of(arm, taken, 0.0)
         peers.on_arm_state(arm, at(taken))
-        peers.on_object_state(replace(seen(taken, 0.0), error_code=code), at(taken))
+        peers.on_object_states(alone(replace(seen(taken, 0.0), error_code=code)), at(taken))
     reason = peers.check_firing(7, here, here, at(1.5))
     assert reason is not None and reason[0] == ErrorCode.CAMERA_SILENT
 
@@ -287,7 +291,7 @@ def test_a_tapper_names_the_computer_whose_clock_is_off(who: str, ahead: float) 
         arm = ArmState(state=ArmState.IN_POSITION, tap_id=7)
         stamp_of(arm, taken, ahead if who == "arm" else 0.0)
         peers.on_arm_state(arm, at(taken))
-        peers.on_object_state(seen(taken, ahead if who == "camera" else 0.0), at(taken))
+        peers.on_object_states(alone(seen(taken, ahead if who == "camera" else 0.0)), at(taken))
     reason = peers.check_firing(7, Pose(0.0, 0.0, 0.0), Pose(0.0, 0.0, 0.0), at(29 / 20))
     assert reason is not None and reason[0] == ErrorCode.CLOCKS_DIFFER
     assert who in reason[1]
@@ -301,30 +305,25 @@ def watching(object_id: str) -> TapperPeers:
     arm = ArmState(state=ArmState.IN_POSITION, tap_id=7)
     stamp_of(arm, 1.0, 0.0)
     peers.on_arm_state(arm, at(1.0))
-    peers.on_object_state(seen(1.0, 0.0), at(1.0))
+    peers.on_object_states(alone(seen(1.0, 0.0)), at(1.0))
     return peers
 
 
-def see(peers: TapperPeers, taken: float, x: float, received: float, among: bool) -> None:
-    """Pass the state of the object ``disk`` to the tapper, ``among`` the states of all objects or
-    alone."""
+def see(peers: TapperPeers, taken: float, x: float, received: float) -> None:
+    """Pass the state of the object ``disk`` to the tapper."""
     state = seen(taken, 0.0)
     state.object_id, state.pose.pose = "disk", to_message(Pose(x, 0.0, 0.0))
-    if among:
-        peers.on_object_states(ObjectStates(objects=[state]), at(received))
-    else:
-        peers.on_object_state(state, at(received))
+    peers.on_object_states(alone(state), at(received))
 
 
-@pytest.mark.parametrize("among", [True, False])
 @pytest.mark.parametrize("taken", [1.05, 1.1])
-def test_a_late_message_does_not_hide_that_the_object_was_moved(taken: float, among: bool) -> None:
+def test_a_late_message_does_not_hide_that_the_object_was_moved(taken: float) -> None:
     """A message of an image at ``taken`` arrives after one of a later image, or is repeated."""
     peers, here = watching("disk"), Pose(0.0, 0.0, 0.0)
-    see(peers, 1.05, 0.0, 1.05, among)
+    see(peers, 1.05, 0.0, 1.05)
     assert peers.check_firing(7, here, here, at(1.06)) is None
-    see(peers, 1.1, 0.01, 1.1, among)
-    see(peers, taken, 0.01 if taken == 1.1 else 0.0, 1.12, among)
+    see(peers, 1.1, 0.01, 1.1)
+    see(peers, taken, 0.01 if taken == 1.1 else 0.0, 1.12)
     reason = peers.check_firing(7, here, here, at(1.12))
     assert reason is not None and reason[0] == ErrorCode.OBJECT_MOVED
 
@@ -335,7 +334,7 @@ def test_the_pose_of_an_object_that_is_not_seen_does_not_count() -> None:
     wrong = replace(seen(1.1, 0.0), error_code=ErrorCode.OBJECT_MOVED)
     for state in (hidden, wrong):
         state.pose.pose = to_message(Pose(0.01, 0.0, 0.0))
-        peers.on_object_state(state, at(1.1))
+        peers.on_object_states(alone(state), at(1.1))
     assert peers.check_firing(7, here, here, at(1.11)) is None
 
 
@@ -357,21 +356,20 @@ def test_a_fixed_tapper_needs_its_mounts_and_all_other_conditions(fitted, proven
 
 def test_an_object_that_is_moved_after_the_cameras_clock_was_set_back_is_not_struck() -> None:
     peers, here = watching("disk"), Pose(0.0, 0.0, 0.0)
-    see(peers, 1.05, 0.0, 1.05, False)
-    see(peers, 0.78, 0.01, 1.08, False)  # the clock was set back by 0.3 s just before this image
+    see(peers, 1.05, 0.0, 1.05)
+    see(peers, 0.78, 0.01, 1.08)  # the clock was set back by 0.3 s just before this image
     reason = peers.check_firing(7, here, here, at(1.09))
     assert reason is not None and reason[0] == ErrorCode.OBJECT_MOVED
 
 
-@pytest.mark.parametrize("among", [True, False])
-def test_a_message_from_the_future_blocks_later_messages_only_briefly(among: bool) -> None:
+def test_a_message_from_the_future_blocks_later_messages_only_briefly() -> None:
     peers, here = watching("disk"), Pose(0.0, 0.0, 0.0)
-    see(peers, 100.0, 0.01, 1.05, among)
+    see(peers, 100.0, 0.01, 1.05)
     received = 1.05
     while received < 13.0:
         received += 0.05
-        peers.on_object_state(seen(received, 0.0), at(received))
-        see(peers, received, 0.0, received, among)
+        peers.on_object_states(alone(seen(received, 0.0)), at(received))
+        see(peers, received, 0.0, received)
     arm = ArmState(state=ArmState.IN_POSITION, tap_id=7)
     stamp_of(arm, received, 0.0)
     peers.on_arm_state(arm, at(received))

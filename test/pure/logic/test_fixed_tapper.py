@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 import pytest
+from logic_parts import alone
 from test_permit import START, Pair, at, board, jobs
 from virtual_node import VirtualNode
 
@@ -63,7 +64,7 @@ class Ring(VirtualNode):
         pose = PoseWithCovariance(pose=to_message(Pose(x, 0.0, 0.0)))
         message = ObjectState(visible=True, at_rest=at_rest, pose=pose)
         message.header.stamp = self.stamp()
-        self.publish("object_state", message)
+        self.publish("object_states", alone(message))
 
     def see_for(self, seconds: float, **seen: Any) -> None:
         end = self.now() + seconds

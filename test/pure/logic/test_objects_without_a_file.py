@@ -16,12 +16,12 @@ from tapping_cell.logic.poses import to_message
 from tapping_cell.messages import (
     ErrorCode,
     ObjectState,
-    ObjectStates,
     PlanState,
     Point32,
     Polygon,
     TapCommand,
     Time,
+    UnknownObjects,
 )
 from tapping_cell.planning import PolygonArea
 from tapping_cell.se2 import Pose
@@ -41,18 +41,17 @@ class Searching(Actors):
     def __init__(self, *unknown: Polygon) -> None:
         self.unknown = list(unknown)
         self.searching = True
-        self.searched_at = Time()
         super().__init__()
+        self.searches = True
         self.pose = START
-        self.scheduler.after(0.0, self._publish_states)
+        self.scheduler.after(0.0, self._search)
 
-    def _publish_states(self) -> None:
+    def _search(self) -> None:
         if self.searching:
-            self.searched_at = self.stamp()
-        states = ObjectStates(unknown_objects=self.unknown, unknown_searched_at=self.searched_at)
-        states.header.stamp = self.stamp()
-        self.publish("object_states", states)
-        self.scheduler.after(0.03, self._publish_states)
+            found = UnknownObjects(outlines=self.unknown)
+            found.header.stamp = self.stamp()
+            self.publish("unknown_objects", found)
+        self.scheduler.after(0.03, self._search)
 
     def taps(self) -> list[TapCommand]:
         return [each for each in self.commands if each.request == TapCommand.TAP]
@@ -94,26 +93,28 @@ def test_no_tap_is_planned_before_the_table_was_searched_since_the_last_motion()
 
 def test_a_camera_that_does_not_search_is_not_waited_for() -> None:
     actors = Searching()
-    actors.searching = False
+    actors.searching = actors.searches = False
     actors.send(GOAL)
     assert actors.ended().state == PlanState.REACHED
+
+
+def outlines(*found: Polygon) -> UnknownObjects:
+    message = UnknownObjects(outlines=list(found))
+    message.header.stamp = Time(sec=10)
+    return message
 
 
 def test_outlines_are_areas_and_a_moved_one_counts_as_moved() -> None:
     others, clock, now = OtherObjects((), 5.0, 0.002), PeerClock(), Now(10.0, 10_000_000_000)
     assert others.searched(1e9)
-    stamp = Time(sec=10)
-    clock.receive(stamp, now)
-    others.on_objects(
-        ObjectStates(unknown_objects=[square_at(0.1, 0.0)], unknown_searched_at=stamp), clock, now
-    )
+    clock.receive(Time(sec=10), now)
+    others.search(True)
+    others.on_unknown(outlines(square_at(0.1, 0.0)), clock, now)
     (area,) = before = others.areas(now)
     assert isinstance(area, PolygonArea) and float(area.distance([0.1, 0.0])) < 0.0
     assert others.searched(9.0) and not others.searched(11.0)
     assert not others.moved_since(before, now)
-    others.on_objects(
-        ObjectStates(unknown_objects=[square_at(0.12, 0.0)], unknown_searched_at=stamp), clock, now
-    )
+    others.on_unknown(outlines(square_at(0.12, 0.0)), clock, now)
     assert others.moved_since(before, now)
 
 
@@ -129,12 +130,9 @@ def test_outlines_are_areas_and_a_moved_one_counts_as_moved() -> None:
 )
 def test_an_outline_that_bounds_no_area_is_skipped(corners: list[tuple[float, float]]) -> None:
     others, clock, now = OtherObjects((), 5.0, 0.002), PeerClock(), Now(10.0, 10_000_000_000)
-    stamp = Time(sec=10)
     outline = Polygon(points=[Point32(x=x, y=y) for x, y in corners])
-    message = ObjectStates(
-        unknown_objects=[outline, square_at(0.1, 0.0)], unknown_searched_at=stamp
-    )
-    others.on_objects(message, clock, now)
+    others.search(True)
+    others.on_unknown(outlines(outline, square_at(0.1, 0.0)), clock, now)
     (area,) = others.unknown
     assert float(area.distance([0.1, 0.0])) < 0.0
 
@@ -151,10 +149,12 @@ def test_a_pose_that_is_not_on_a_table_is_no_observation(wrong: tuple[float, flo
     file = load_cell().object
     others, clock, now = OtherObjects((file,), 5.0, 0.002), PeerClock(), Now(10.0, 10_000_000_000)
     message = ObjectState(object_id=file.name, visible=True)
+    message.header.stamp = Time(sec=9)
     message.pose.pose = to_message(Pose(*wrong))
     others.on_object(message, clock, now)
     assert others.areas(now) == (None,)
     message = ObjectState(object_id=file.name, visible=True)
+    message.header.stamp = Time(sec=10)
     message.pose.pose = to_message(Pose(0.1, 0.0, 0.0))
     others.on_object(message, clock, now)
     (area,) = others.areas(now)
@@ -163,17 +163,16 @@ def test_a_pose_that_is_not_on_a_table_is_no_observation(wrong: tuple[float, flo
 
 def test_a_camera_that_no_longer_searches_reports_no_unknown_objects() -> None:
     others, clock, now = OtherObjects((), 5.0, 0.002), PeerClock(), Now(100.0, 100_000_000_000)
-    message = ObjectStates(unknown_objects=[square_at(0.0, 0.0)])
-    message.unknown_searched_at = Time(sec=99)
-    others.on_objects(message, clock, now)
+    others.search(True)
+    others.on_unknown(outlines(square_at(0.0, 0.0)), clock, now)
     assert others.unknown and not others.searched(150.0)
-    others.on_objects(ObjectStates(), clock, now)  # camera_pose was restarted without the search
+    others.search(False)  # camera_pose was restarted without the search
     assert not others.unknown and others.searched(150.0)
 
 
 def test_no_tap_is_commanded_before_the_first_search() -> None:
     actors = Searching()
-    actors.searching, actors.searched_at = False, Time(nanosec=1)
+    actors.searching = False
     actors.send(GOAL)
     actors.run(1.0)
     assert actors.plans[-1].state == PlanState.LOOKING and not actors.taps()
@@ -185,6 +184,7 @@ def test_an_obstacle_under_the_arm_is_remembered_until_the_arm_has_left() -> Non
     file = load_cell().object
     others, clock = OtherObjects((file,), 5.0, 0.002), PeerClock()
     seen = ObjectState(object_id=file.name, visible=True)
+    seen.header.stamp = Time(sec=10)
     seen.pose.pose = to_message(Pose(0.1, 0.0, 0.0))
     others.on_object(seen, clock, Now(10.0, 10_000_000_000))
     for time in range(11, 40):

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from logic_parts import goal_handling
+from logic_parts import alone, goal_handling
 from virtual_node import VirtualNode
 
 from tapping_cell.configuration.cell import Cell, load_cell
@@ -29,7 +29,6 @@ from tapping_cell.messages import (
     ErrorCode,
     GoalReport,
     ObjectState,
-    ObjectStates,
     PlanState,
     PoseStamped,
     PositionObject,
@@ -73,6 +72,7 @@ class Actors(VirtualNode):
         self.visible = self.at_rest = True
         self.rest_since = Time()
         self.covariance: list[float] = COVARIANCE.reshape(-1).tolist()
+        self.searches = False
         self.camera_active = self.arm_active = self.tapper_active = True
         self.arm_arrives = self.arm_withdraws = True
         self.lost_withdrawals = 0
@@ -143,7 +143,9 @@ class Actors(VirtualNode):
             seen.pose.pose = to_message(self.pose)
             seen.references_used = list(range(101, 109))
             seen.pose.covariance = self.covariance
-            self.publish("object_state", seen)
+            states = alone(seen)
+            states.searches_unknown_objects = self.searches
+            self.publish("object_states", states)
         if self.arm_active:
             code, sentence = self.arm_error
             idle = self.arm_state == ArmState.IDLE
@@ -809,11 +811,6 @@ def test_the_residual_is_reported(actors: Actors) -> None:
 
 
 def test_the_final_pose_is_that_of_the_decision(actors: Actors) -> None:
-    # camera_pose publishes `object_states` after `object_state`, so the planner decides before it
-    # receives the states of the same image.
-    name = shipped()[0].object.name
-    earlier = ObjectStates(objects=[ObjectState(object_id=name)])
-    actors.publish("object_states", earlier)
     results = actors.request_goal()
     actors.wait(lambda: results, "the result")
     (result,) = results

@@ -7,6 +7,7 @@ import math
 
 from hypothesis import given
 from hypothesis import strategies as st
+from logic_parts import alone
 
 from tapping_cell.logic.cell_monitor import QUICKEST_IMAGE_S, CellMonitor
 from tapping_cell.logic.clock import Now, to_stamp
@@ -25,7 +26,7 @@ def monitor(rest: float, *, at_rest: bool = True, visible: bool = True) -> tuple
     state.header.stamp = to_stamp(now.ros)
     state.at_rest_since = to_stamp(round(1e9 * (STRUCK + rest)))
     made = CellMonitor(1.0)
-    made.on_object(state, now)
+    made.on_objects(alone(state), now)
     return made, now
 
 

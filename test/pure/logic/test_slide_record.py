@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from logic_parts import alone
 
 from tapping_cell.configuration.assembly import make_tap
 from tapping_cell.configuration.cell import load_cell
@@ -63,7 +64,7 @@ def test_friction_and_torque_factor_follow_from_the_observations(
         monitor = CellMonitor(0.5)
         rest = ObjectState()
         for state in observed(true, rate, seed, dropped):
-            monitor.on_object(state, Now(0.0, 0))
+            monitor.on_objects(alone(state), Now(0.0, 0))
             rest = state if state.at_rest else rest
         track = monitor.track(rest)
         after = from_message(rest.pose.pose)
@@ -87,7 +88,7 @@ def test_a_slide_that_was_hidden_has_no_track() -> None:
     rest = ObjectState()
     for state in observed(model, 30.0, 1):
         if state.at_rest:
-            monitor.on_object(state, Now(0.0, 0))
+            monitor.on_objects(alone(state), Now(0.0, 0))
             rest = state
     assert monitor.track(rest) is None
 
@@ -96,7 +97,7 @@ def test_the_track_of_a_tap_begins_when_the_tap_is_planned() -> None:
     model = make_tap(load_cell()).sliding
     monitor = CellMonitor(0.5)
     for state in observed(model, 120.0, 1):
-        monitor.on_object(state, Now(0.0, 0))
+        monitor.on_objects(alone(state), Now(0.0, 0))
     assert monitor.object is not None and monitor.track(monitor.object) is not None
     monitor.begin_track()
     assert monitor.track(monitor.object) is None

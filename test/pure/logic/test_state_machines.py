@@ -1,27 +1,11 @@
-"""Each state can be left, either by a person's action or after some time. The documentation shows
-the current transition tables."""
+"""Each state can be left, either by a person's action or after some time."""
 
-import importlib.util
 from enum import Enum
-from pathlib import Path
 from types import ModuleType
 
 import pytest
 
 from tapping_cell.logic import arm_states, tapper_states
-
-ROOT = Path(__file__).resolve().parents[3]
-
-
-def test_the_page_matches_the_transition_tables() -> None:
-    """If this fails after a change of a table, run ``python
-    environment/draw_state_machines.py``."""
-    program = ROOT / "environment" / "draw_state_machines.py"
-    specification = importlib.util.spec_from_file_location("draw_state_machines", program)
-    assert specification is not None and specification.loader is not None
-    module = importlib.util.module_from_spec(specification)
-    specification.loader.exec_module(module)
-    assert (ROOT / "docs" / "state_machines.md").read_text(encoding="utf-8") == module.page()
 
 
 @pytest.mark.parametrize(

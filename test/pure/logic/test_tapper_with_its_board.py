@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from logic_parts import alone
 from virtual_node import PROBE, VirtualNode
 
 from lab.virtual_cell.serial_line import SerialLine
@@ -311,7 +312,7 @@ def test_an_object_away_from_its_planned_pose_is_not_struck(cell, pose, visible,
     def send() -> None:
         seen = ObjectState(visible=visible, pose=PoseWithCovariance(pose=to_message(pose)))
         seen.header.stamp = cell.stamp()
-        cell.publish("object_state", seen)
+        cell.publish("object_states", alone(seen))
         cell.publish_arm(100)
 
     cell.publish_until(lambda: cell.outcome(100) == TapperState.NOT_FIRED, "not fired", send)
@@ -341,7 +342,7 @@ def test_only_the_arm_may_hide_an_object_for_long_before_a_shot(by_arm, by_hand,
         message = ObjectState(**how)
         message.header.stamp = to_stamp(round((100.0 + at) * NANOSECONDS))
         now = Now(100.0 + at, round((100.0 + at) * NANOSECONDS))
-        peers.on_object_state(message, now)
+        peers.on_object_states(alone(message), now)
 
     send(0.0, visible=True, at_rest=True)
     end = max(last for span in (by_arm, by_hand) if span for last in span)
@@ -421,7 +422,7 @@ def test_the_striker_is_discharged_if_a_peer_falls_silent(lost: str) -> None:
             seen.header.stamp = last if but == "pictures" else cell.stamp()
             if but == "usable pictures":
                 seen.error_code = ErrorCode.IMAGE_INVALID
-            cell.publish("object_state", seen)
+            cell.publish("object_states", alone(seen))
         if but != "arm":
             cell.publish_arm(100)
 

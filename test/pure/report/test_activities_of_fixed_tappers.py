@@ -23,6 +23,9 @@ class Recorded:
     def of(self, topic: str) -> list[tuple[int, Any]]:
         return [(0, stamped(at, message)) for name, at, message in self._messages if name == topic]
 
+    def of_own_object(self) -> list[Any]:
+        return [message for _, message in self.of("object")]
+
 
 def stamped(at: float, message: Any) -> Any:
     message.header = SimpleNamespace(stamp=SimpleNamespace(sec=0, nanosec=at * 1e9))
@@ -36,13 +39,13 @@ def tapper(state: int, outcome: int = TapperState.NONE) -> TapperState:
 def test_a_tap_is_described_by_the_activities_of_tapper_and_object() -> None:
     bag = Recorded(
         ("plan_state", 0.0, PlanState(state=PlanState.LOOKING)),
-        ("object_state", 0.1, ObjectState(visible=True, at_rest=True)),
+        ("object", 0.1, ObjectState(visible=True, at_rest=True)),
         ("plan_state", 0.3, PlanState(state=PlanState.FIRING)),
         ("tapper_state", 0.4, tapper(TapperState.CHARGING)),
         ("tapper_state", 0.5, tapper(TapperState.FIRING)),
         ("tapper_state", 0.6, tapper(TapperState.FIRING, TapperState.FIRED)),
-        ("object_state", 0.8, ObjectState(visible=True, at_rest=False)),
-        ("object_state", 1.0, ObjectState(visible=True, at_rest=True)),
+        ("object", 0.8, ObjectState(visible=True, at_rest=False)),
+        ("object", 1.0, ObjectState(visible=True, at_rest=True)),
         ("tapper_state", 1.1, tapper(TapperState.SAFE, TapperState.FIRED)),
         ("plan_state", 1.15, PlanState(state=PlanState.LOOKING)),
         ("plan_state", 1.2, PlanState(state=PlanState.REACHED)),

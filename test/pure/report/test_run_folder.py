@@ -159,6 +159,18 @@ def test_the_table_of_an_earlier_version_is_read_without_learnt_values(written: 
     assert "off centre" not in page(IllustratedRun(read_run(folder), ()))
 
 
+def test_a_run_of_version_0_1_is_read(tmp_path: Path) -> None:
+    """Version 0.1 recorded the own object's states on a topic of their own."""
+    now, before = (
+        read_illustrated_run(
+            MadeRun(STOPS, old_topic=old).write(tmp_path / str(old)) / "bag", "run"
+        )
+        for old in (False, True)
+    )
+    assert before.run.objects == now.run.objects and before.tracks == now.tracks
+    assert before.run.activities == now.run.activities
+
+
 @pytest.mark.parametrize(
     ("made", "outcome", "words"),
     [
