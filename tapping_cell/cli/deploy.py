@@ -71,6 +71,9 @@ class PlannedFile:
     link: bool = False
     cell: bool = False
     """Whether it is a copy of a cell file or of a file that it names, and may be calibrated."""
+    deployed: str | None = None
+    """Digest of the content that ``deploy`` wrote; None if ``text`` is that content, and not a
+    later calibration of it."""
 
     def act(self, places: Places, replaces: bool) -> str:
         """Return what is done: ``keep``, ``write``, or ``replace`` of a file that was changed or
@@ -415,9 +418,11 @@ def started_by(places: Places) -> list[list[str]]:
 def available(commands: Sequence[list[str]]) -> list[list[str]]:
     """Return the commands that this computer has and that work now, without systemd and udev in a
     container."""
-    booted = Path("/run/systemd/system").is_dir()
-    alone = "systemd-sysusers", "userdel"
-    return [one for one in commands if shutil.which(one[0]) and (booted or one[0] in alone)]
+    works = {
+        "systemctl": Path("/run/systemd/system").is_dir(),
+        "udevadm": Path("/run/udev/control").exists(),
+    }
+    return [one for one in commands if shutil.which(one[0]) and works.get(one[0], True)]
 
 
 def unsuitable(live: bool) -> str:
@@ -463,16 +468,18 @@ def carry_out(
     present = places.version
     if present and any(file.path.name == VERSION and file.text != present for file in acts):
         content["previous"] = present
-        content["replaced"] = [
-            str(f.path) for f, act in acts.items() if act == "replace" and f.cell
-        ]
+        content["replaced"] = {
+            str(f.path): written.get(str(f.path), "")
+            for f, act in acts.items()
+            if act == "replace" and f.cell
+        }
     make_folder(places.configuration)
     write_list(places, MANIFEST, content)
     (places.configuration / LEFT).unlink(missing_ok=True)
     for file, act in acts.items():
         if act != "keep":
             file.write(places, act)
-            written[str(file.path)] = digest(file.text)
+            written[str(file.path)] = digest(file.text) if file.deployed is None else file.deployed
             # After an interruption, undeploy knows what was written until then.
             write_list(places, MANIFEST, content)
     for path in obsolete:

@@ -60,7 +60,8 @@ def run(arguments: argparse.Namespace) -> int:
             print(f"keep   {place}: changed since it was deployed")
     folders = [places.state, places.root / "var/log" / places.name, places.configuration]
     lists = [places.configuration / name for name in (MANIFEST, LEFT)]
-    commands = available([["systemctl", "disable", "--now", places.unit]]) if live else []
+    enabled = live and f"/etc/systemd/system/{places.unit}" in manifest["files"]
+    commands = available([["systemctl", "disable", "--now", places.unit]]) if enabled else []
     after = [["systemctl", "daemon-reload"], ["udevadm", "control", "--reload"]]
     if arguments.all and manifest.get("user") is True and user_exists(places):
         after.append(["userdel", places.name])

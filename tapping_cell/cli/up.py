@@ -268,7 +268,9 @@ class _Running:
                         f"the cell was not ready after {self._arguments.wait:.0f} s: {start.reason}"
                     )
                 time.sleep(CHECK_PERIOD_S)
-        notify("STATUS=ready: the cell accepts goals")
+        # With the time, because a later stop or fault does not change this line.
+        clock = time.strftime("%H:%M:%S")
+        notify(f"STATUS=ready at {clock}; the verb status shows the present state")
         self._console.print("[green]ready[/]: the cell accepts goals")
         self._print_page()
 

@@ -183,9 +183,9 @@ def earlier_version(places: Places) -> list[PlannedFile]:
     if replaced := manifest.get("replaced"):
         _, texts = read_archive(places.configuration / BEFORE_UPDATE)
         folder = Path("/etc") / places.name
-        inside = [Path(path).relative_to(folder) for path in replaced]
-        earlier = [(one, texts[f"configuration/{one}"]) for one in inside]
-        files = [PlannedFile(folder / one, text, cell=True) for one, text in earlier] + files
+        for path, deployed in replaced.items():
+            text = texts[f"configuration/{Path(path).relative_to(folder)}"]
+            files.insert(0, PlannedFile(Path(path), text, cell=True, deployed=deployed))
     return files
 
 

@@ -42,6 +42,7 @@ from rosbags.typesys.base import TypesysError
 from rosbags.typesys.store import Typestore
 
 from tapping_cell.configuration.schema import ConfigurationError, read_yaml
+from tapping_cell.durable_file import sync_folder
 from tapping_cell.report.message_types import MessageTypes
 from tapping_cell.report.recorded import DEFAULT, Bag, BagError, Quality, Recorded, Topic
 
@@ -161,7 +162,10 @@ class BagWriter:
         except OSError:
             self._writer.abort()
             raise
-        _synchronise(self.folder / f"{self.folder.name}.mcap")
+        # A power cut would otherwise leave a bag without its end, or with empty metadata.
+        for name in (f"{self.folder.name}.mcap", "metadata.yaml"):
+            _synchronise(self.folder / name)
+        sync_folder(self.folder)
 
 
 def bag_file(path: Path) -> Path:

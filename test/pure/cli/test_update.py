@@ -71,6 +71,19 @@ def test_back_undoes_an_update_and_a_second_back_repeats_it(
     assert [path for path in deployed.rglob("*") if not path.is_dir()] == []
 
 
+def test_undeploy_after_back_keeps_what_was_calibrated_before_the_update(
+    deployed: Path, tmp_path: Path
+) -> None:
+    cell = deployed / "etc/tapping_cell/cell.yaml"
+    calibrated = cell.read_text() + "# calibrated\n"
+    cell.write_text(calibrated)
+    assert call(deployed, "--cell", renamed_cell(deployed, tmp_path / "new")) == 0
+    assert call(deployed, "--back") == 0
+    assert main(["undeploy", "--root", str(deployed), "--yes"]) == 0
+    assert cell.read_text() == calibrated
+    assert not (cell.parent / "table.yaml").exists(), "deploy wrote it, and nobody changed it"
+
+
 def test_a_version_that_cannot_run_the_cell_is_refused(
     deployed: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

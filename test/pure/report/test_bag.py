@@ -239,6 +239,20 @@ def test_a_bag_is_never_overwritten(tmp_path: Path) -> None:
         BagWriter(tmp_path / "bag")
 
 
+def test_a_closed_bag_survives_a_power_cut(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    synchronised: set[str] = set()
+
+    def fsync(descriptor: int) -> None:
+        synchronised.add(os.readlink(f"/proc/self/fd/{descriptor}"))
+
+    monkeypatch.setattr(os, "fsync", fsync)
+    folder = tmp_path / "bag"
+    with BagWriter(folder) as bag:
+        bag.add_topic("/x", TEXT)
+        bag.write("/x", 1, text("hello"))
+    assert synchronised == {str(folder), *(str(file) for file in folder.iterdir())}
+
+
 @pytest.mark.parametrize(
     ("kind", "words"),
     [
