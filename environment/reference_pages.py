@@ -265,7 +265,8 @@ table, and keep away. After the last duty, the stop, a person presses the clear 
 
 Examples: [pose_estimator.py](../examples/own_nodes/pose_estimator.py) takes the poses of a
 motion-capture system; [pick_list.py](../examples/own_nodes/pick_list.py) sends goals to the
-planner.
+planner; [planning_scene.py](../examples/own_nodes/planning_scene.py) gives table and objects to
+MoveIt.
 
 Three rules hold for every node:
 
