@@ -89,7 +89,7 @@ def run(arguments: argparse.Namespace) -> int:
             "striker_error": list(arguments.error),
             **_figures(both.printed, arguments.error),
             "physical": _figures(both.physical, arguments.error),
-            "sweep": _sweep(tap, arguments.farthest / 1e3),
+            "sweep": sweep_norms(tap, arguments.farthest / 1e3),
         }
     except MechanicsError as problem:
         print_error(str(problem))
@@ -114,9 +114,9 @@ def _figures(jacobian: NDArray[np.float64], error: list[float]) -> dict[str, obj
     }
 
 
-def _sweep(tap: Tap, farthest: float) -> dict[str, object]:
-    """Return statistics of the Jacobian's norm over the reachable taps. Their rotations range from
-    zero to the edge of the friction cone."""
+def sweep_norms(tap: Tap, farthest: float) -> dict[str, Any]:
+    """Return statistics of the Jacobian's norm over the reachable taps of up to this distance, m.
+    Their rotations range from zero to the edge of the friction cone."""
     nearest = tap.smallest_distance
     distances, shares = np.meshgrid(
         np.linspace(nearest, max(farthest, nearest), _SWEEP_DISTANCES),

@@ -49,7 +49,7 @@ def require_planner(name: str) -> None:
     Raises:
         UnknownPlannerError: unknown name; the message lists the names.
     """
-    if name not in planner_names():
+    if name not in BUILT_IN and name not in planner_names():
         raise UnknownPlannerError(
             f"there is no planning method {name!r}; choose one of {', '.join(planner_names())}"
         )

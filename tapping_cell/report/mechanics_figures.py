@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 from pathlib import Path
 
 import numpy as np
@@ -21,12 +22,16 @@ _FARTHEST = 0.030
 _GRID = 61
 
 
-def write_figures(tap: Tap, folder: Path) -> list[Path]:
-    """Draw two figures into ``folder``: the cone of ``tap``, and velocities while its object
-    slides. Return the files."""
+def write_figures(
+    tap: Tap, folder: Path, names: Collection[str] = (CONE, VELOCITIES)
+) -> list[Path]:
+    """Draw the figures with these names into ``folder``: the cone of ``tap``, and velocities while
+    its object slides. Return the files."""
     folder.mkdir(parents=True, exist_ok=True)
     files = []
     for name, draw in ((CONE, _cone), (VELOCITIES, _velocities)):
+        if name not in names:
+            continue
         figure = Figure(figsize=(9.0, 4.2), layout="constrained")
         draw(figure, tap)
         figure.savefig(folder / name, dpi=110)

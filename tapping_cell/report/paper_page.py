@@ -20,6 +20,12 @@ from tapping_cell.report.photograph import data_url
 from tapping_cell.report.rendering import render
 
 PAGE, TABLE = "paper.html", "paper.csv"
+SAMPLE = "95 %"
+"""The range of a number is its 95 % interval."""
+RUNS_RANGE = "smallest and largest run"
+"""The range of a number is that of the runs of which it is the mean."""
+MOST_TAPS = 5
+"""Number of taps that runs of the paper did not exceed."""
 Results = Mapping[str, Mapping[str, Any]]
 _BAND: dict[str, Any] = {"color": "#f4d7d5", "lw": 0}
 
@@ -28,8 +34,9 @@ _BAND: dict[str, Any] = {"color": "#f4d7d5", "lw": 0}
 class Row:
     """One number of the paper and the same number here.
 
-    paper: as the paper states it. value, low, high: number here with its 95 % interval, in
-    ``unit``. why: why the two differ. command: the command that repeats the number.
+    paper: as the paper states it. value, low, high: number here and a range, in ``unit``; interval:
+    what the range is, ``SAMPLE``, ``RUNS_RANGE`` or empty. Without a range, low and high are NaN.
+    why: why the two differ. command: the command that repeats the number.
     """
 
     section: str
@@ -39,31 +46,39 @@ class Row:
     value: float
     low: float
     high: float
+    interval: str
     why: str
     command: str
 
     @property
     def here(self) -> str:
         """The number here and its interval as text."""
-        if self.low == self.high:
+        if not self.interval:
             return f"{self.value:.3g} {self.unit}".strip()
+        width = self.high - self.low
         # Two digits of the interval's width are significant.
-        digits = max(0, 1 - math.floor(math.log10(self.high - self.low)))
+        digits = max(0, 1 - math.floor(math.log10(width))) if width > 0.0 else 1
+        digits = {"taps": 2, "%": min(digits, 1)}.get(self.unit, digits)
         value, low, high = (f"{x:.{digits}f}" for x in (self.value, self.low, self.high))
-        return f"{value} {self.unit}".strip() + f" ({low}\u00a0to\u00a0{high})"
+        of_runs = ", runs" if self.interval == RUNS_RANGE else ""
+        return f"{value} {self.unit}".strip() + f" ({low}\u00a0to\u00a0{high}{of_runs})"
 
 
 def write_page(
-    folder: Path, rows: Sequence[Row], figures: Sequence[tuple[str, Sequence[tuple[Path, str]]]]
+    folder: Path,
+    rows: Sequence[Row],
+    figures: Sequence[tuple[str, Sequence[tuple[Path, str]]]],
+    provenance: Mapping[str, str],
 ) -> Path:
     """Write ``paper.html`` and ``paper.csv``; return the page.
 
-    ``figures``: for each heading the images, with their captions.
+    ``figures``: for each heading the images, with their captions. ``provenance``: version, date,
+    seed and trials, further columns of the table.
     """
     text = io.StringIO(newline="")
     table = csv.writer(text)
-    table.writerow([field.name for field in fields(Row)])
-    table.writerows(map(astuple, rows))
+    table.writerow([*(field.name for field in fields(Row)), *provenance])
+    table.writerows((*astuple(row), *provenance.values()) for row in rows)
     replace_text(folder / TABLE, text.getvalue())
     sections: dict[str, list[tuple[str, ...]]] = {}
     for row in rows:
@@ -79,6 +94,7 @@ def write_page(
                 for title, shown in figures
             ],
             commands=[(row.quantity, row.command) for row in rows],
+            provenance=provenance,
         ),
     )
     return page
@@ -99,7 +115,7 @@ def draw_planners(results: Results, path: Path) -> None:
             ),
         },
     )
-    _band(axis, 4.8, 5.2, "paper: about 5 taps")
+    _band(axis, 4.8, 5.2, "paper, conservative: about 5 taps")
     axis.legend(fontsize=8, loc="upper center", bbox_to_anchor=(0.5, -0.1))
     figure.savefig(path)
 
@@ -112,7 +128,10 @@ def draw_rounding(results: Results, path: Path) -> None:
         axis,
         steps,
         {
-            "paper's cell, exact": (REST, [results[f"rounding {s}, theirs"] for s in steps]),
+            "assumed cell of the paper, exact": (
+                REST,
+                [results[f"rounding {s}, theirs"] for s in steps],
+            ),
             "this cell, optimal": (GOAL, [results[f"rounding {s}, ours"] for s in steps]),
         },
     )
@@ -143,24 +162,28 @@ def draw_changes(steps: Sequence[tuple[str, Mapping[str, Any]]], path: Path) -> 
 def draw_causes(
     noise: Sequence[float], curves: Mapping[str, Sequence[Mapping[str, Any]]], path: Path
 ) -> None:
-    """Draw the mean taps of ``exact`` over the camera's noise (m), for errors of the model."""
-    figure, axis = _figure((7.5, 4.2))
+    """Draw, over the camera's noise (m) and for errors of the model, the mean taps of ``exact`` and
+    the percentage of its runs that stay within the number of taps of the paper."""
+    figure = Figure(figsize=(9.0, 4.2), dpi=110, layout="constrained")
+    mean, share = figure.subplots(1, 2)
     x = 1e3 * np.asarray(noise)
     for colour, (name, row) in zip((GOAL, REST, PREDICTED), curves.items(), strict=True):
-        axis.errorbar(
-            x,
-            [figures["taps"]["mean"] for figures in row],
-            yerr=_errors(row),
-            marker="o",
-            color=colour,
-            label=name,
-        )
-    _band(axis, 4.8, 5.2, "paper: about 5 taps")
-    axis.set(xlabel="standard deviation of the measured position (mm)", ylabel="mean taps")
-    axis.set_ylim(0, None)
-    axis.grid(alpha=0.3)
-    axis.legend(fontsize=8, loc="upper center", bbox_to_anchor=(0.5, -0.15), ncols=4)
+        means = [figures["taps"]["mean"] for figures in row]
+        mean.errorbar(x, means, yerr=_errors(row), marker="o", color=colour, label=name)
+        within = [_percent_within(figures["taps"]["histogram"], MOST_TAPS) for figures in row]
+        share.plot(x, within, marker="o", color=colour)
+    mean.set(ylabel="mean taps", ylim=(0, None))
+    share.set(ylabel=f"runs of at most {MOST_TAPS} taps (%)", ylim=(0, 103))
+    for axis in (mean, share):
+        axis.set(xlabel="standard deviation of the measured position (mm)")
+        axis.grid(alpha=0.3)
+    mean.legend(fontsize=8, loc="lower right")
     figure.savefig(path)
+
+
+def _percent_within(histogram: Mapping[str, int], most: int) -> float:
+    within = sum(count for taps, count in histogram.items() if int(taps) <= most)
+    return 100 * within / sum(histogram.values())
 
 
 def _figure(size: tuple[float, float]) -> tuple[Figure, Axes]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
@@ -24,11 +25,15 @@ VALUES = "single_tap_values.png"
 # Matplotlib before 3.7, as in Ubuntu 24.04, cannot place a legend outside the axes.
 _BELOW = "outside lower center" if matplotlib.__version_info__ >= (3, 7) else "lower center"
 _GRID: dict[str, Any] = {"alpha": 0.25, "linewidth": 0.6}
+_MARGIN_MS = 10.0
 _MARKS = "osD^vP*X<>"
 
 
-def write_figures(report: SingleTapReport, folder: Path) -> list[Path]:
-    """Draw all figures into an existing folder; return the files in the order of the page."""
+def write_figures(
+    report: SingleTapReport, folder: Path, names: Collection[str] | None = None
+) -> list[Path]:
+    """Draw the figures with these names, by default all, into an existing folder; return the files
+    in the order of the page."""
     drawings = [
         (RUNS, (11.0, 4.6), _runs),
         (PROFILES, (11.0, 3.4 * max(len(report.profiles), 1)), _profiles),
@@ -39,6 +44,8 @@ def write_figures(report: SingleTapReport, folder: Path) -> list[Path]:
     files = []
     for name, size, draw in drawings:
         if name == PROFILES and not report.profiles:
+            continue
+        if names is not None and name not in names:
             continue
         figure = Figure(figsize=size, dpi=110, layout="constrained")
         draw(figure, report)
@@ -131,9 +138,10 @@ def _profile(speed: Axes, spin: Axes, pose: Axes, view: ProfileView) -> None:
     turned.plot(view.curve_time, view.curve_rotation, color=STRIKE, alpha=0.5)
     turned.plot(view.seen_time, view.seen_rotation, "s", color=MUTED, ms=4)
     turned.set_ylabel("rotation (degrees), squares", color=MUTED)
+    shown = np.concatenate([view.curve_time, view.plain_time, view.seen_time, view.rate_time])
     for axes in (speed, spin, pose):
         axes.set_xlabel("time from the impact (ms)")
-        axes.set_xlim(-40, max(float(view.curve_time[-1]), float(view.plain_time[-1])) * 1.15)
+        axes.set_xlim(float(np.min(shown)) - _MARGIN_MS, float(np.max(shown)) + _MARGIN_MS)
         axes.grid(**_GRID)
 
 
