@@ -22,8 +22,8 @@ print(f"radius {1e3 * tap.body.bounding_radius:.0f} mm, friction {tap.sliding.fr
 # ## The slide
 #
 # After the impact the object moves at a speed and rotates at a spin. Friction slows both, and
-# both vanish at the same time. `launch` is the inverse problem: which speed and spin give a
-# displacement?
+# both vanish at the same time; with this torque factor the spin fades faster. `launch` is the
+# inverse problem: which speed and spin give a displacement?
 
 # %%
 wanted = 0.010, math.radians(3.0)

@@ -652,7 +652,7 @@ def write(folder: Path, results: Mapping[str, Mapping[str, Any]], trials: int) -
     evaluate.add_arguments(parser)
     options = parser.parse_args(shlex.split(POSITIONING["exact"]))
     settings = evaluate.make_evaluation(options, "exact").settings
-    methods = planning_comparison.methods()
+    methods = tuple(each for each in planning_comparison.methods() if each.planner in STATEMENTS)
     files = {name: folder / f"{name}.png" for name in
              ("changes", "causes", "planners", "rounding", "cones", "fans")}  # fmt: skip
     paper_page.draw_changes([(name, results[name]) for name in CHANGES], files["changes"])

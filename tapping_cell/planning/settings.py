@@ -2,8 +2,9 @@
 
 All lengths are in metres and all angles in radians. The defaults are the numbers of the paper's
 cell: a cone of 10 degrees per 30 mm (Huang and Mason, section 4: the task needs three times the
-rotation of one tap), a smallest tap of 1.7 mm (section 4), and scatter of 5 % and 15 %
-(section 3.1.1).
+rotation of one tap), a smallest tap of 1.7 mm (section 4), and scatter of 5 % of the distance
+and 15 % of the rotation (section 3.1.1 gives up to 5 % of the initial speed, which is 10 % of the
+distance, and 15 % of the initial spin).
 """
 
 from __future__ import annotations
@@ -47,8 +48,8 @@ class Scatter:
     """Standard deviations of a tap's result.
 
     distance, rotation: shares of the tap's distance and rotation. direction: rad. The default
-    values were measured by Huang and Mason (section 3.1.1), except the direction, which is an
-    assumption. position_floor (m, along and across the tap), angle_floor (rad): parts that do not
+    values are assumptions; Huang and Mason (section 3.1.1) measured the scatter of the initial
+    velocities (see above). position_floor (m, along and across the tap), angle_floor (rad): parts that do not
     decrease with the size of the tap.
     """
 
