@@ -118,7 +118,8 @@ def commands_page() -> str:
 
 def examples(parser: argparse.ArgumentParser) -> list[str]:
     """Return the command lines in a parser's description."""
-    lines = inspect.cleandoc(parser.description or "").splitlines()
+    text = re.sub(r"\\\n *", "", inspect.cleandoc(parser.description or ""))
+    lines = text.splitlines()
     return [line.strip() for line in lines if line.strip().startswith("python -m tapping_cell ")]
 
 

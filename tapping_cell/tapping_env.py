@@ -12,12 +12,19 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
+try:
+    import gymnasium
+except ModuleNotFoundError as error:
+    raise ModuleNotFoundError(
+        "TappingEnv needs gymnasium: pip install '.[gym]'", name=error.name
+    ) from error
+
 from tapping_cell.configuration.assembly import make_planner_settings, make_strike_space
 from tapping_cell.configuration.cell import Cell, load_cell
+from tapping_cell.planning import PlanningError, check_goal
 from tapping_cell.planning.stopping import LONG_OBSERVATION
 from tapping_cell.se2 import Array, Pose, difference, displaced
 from tapping_cell.simulation.tap_trials import SimulatedTable
@@ -38,7 +45,8 @@ class TappingEnv(gymnasium.Env[NDArray[np.float64], NDArray[np.float64]]):
     Action: displacement of the object that the tap shall cause: dx, dy (m), dtheta (rad) in
     ``table``, (3,). Its length is limited to the shortest and the longest tap, its rotation to what
     a tap of this length can cause.
-    Reward: -1 for each tap.
+    Reward: -1 for each tap, and -20 more if the object's centre leaves the table, so that this
+    costs more than any number of taps.
     Terminated: the goal is reached with the confidence that the cell requires, or the object's
     centre has left the table.
     ``info``: ``reached``; ``inside``, whether the true pose is within the tolerance; ``possible``,
@@ -77,8 +85,16 @@ class TappingEnv(gymnasium.Env[NDArray[np.float64], NDArray[np.float64]]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Array, dict[str, Any]]:
-        """Place the object and draw a goal."""
+        """Place the object and draw a goal.
+
+        Raises:
+            PlanningError: ``options`` has another key than ``goal``, or its goal is not a possible
+                one of this table.
+        """
         super().reset(seed=seed)
+        unknown = sorted(set(options or {}) - {"goal"})
+        if unknown:
+            raise PlanningError(f"reset has no option {', '.join(unknown)}; the only one is goal")
         random = self.np_random
         self._table = SimulatedTable(self._cell, self._truth, random)
         x, y = random.uniform(-START_AREA, START_AREA, 2).tolist()
@@ -86,7 +102,10 @@ class TappingEnv(gymnasium.Env[NDArray[np.float64], NDArray[np.float64]]):
         heading, far, turn = random.uniform([-math.pi, 0.0, -1.0], [math.pi, 1.0, 1.0])
         distance = self._task[0] * far
         drawn = (distance * math.cos(heading), distance * math.sin(heading), self._task[1] * turn)
-        self._goal = displaced(np.array(self._table.pose), (options or {}).get("goal", drawn))
+        self._goal = displaced(np.array(self._table.pose), self._displacement(options, drawn))
+        refused = check_goal(self._goal, self._space) if options else None
+        if refused is not None:
+            raise PlanningError(refused.sentence)
         self._seen = self._observe()[0]
         return self._observation(), self._info(False, True)
 
@@ -100,7 +119,19 @@ class TappingEnv(gymnasium.Env[NDArray[np.float64], NDArray[np.float64]]):
         reached = bool(arrival.done)
         off = bool(self._space.workspace.edge_distance(self._seen[:2]) < 0.0)
         info = self._info(reached, strike is not None)
-        return self._observation(), -1.0, reached or off, False, info
+        reward = -1.0 - (MOST_TAPS if off else 0)
+        return self._observation(), reward, reached or off, False, info
+
+    @staticmethod
+    def _displacement(options: dict[str, Any] | None, drawn: tuple[float, float, float]) -> Array:
+        """Return the displacement (3,) from start to goal."""
+        given = (options or {}).get("goal", drawn)
+        wanted = np.asarray(given, dtype=float)
+        if wanted.shape != (3,):
+            raise PlanningError(
+                f"goal is {given!r}; give the displacement (dx, dy, dtheta), m, rad"
+            )
+        return wanted
 
     def limited(self, action: Array) -> Array:
         """Return the displacement (3,) of the tap that is made for an action."""

@@ -44,7 +44,7 @@ class ExperimentFile:
         "the striker; without it, the impact is not fitted", default=None
     )
     object: ObjectFile | None = section(
-        "object file that the planner used; without it, fit needs --object", default=None
+        "object file that the planner used; without it, `object fit` needs --object", default=None
     )
     camera_rate_hz: float | None = quantity(
         "frame rate of trials without camera_rate_hz in their row; default: computed from the "

@@ -644,11 +644,16 @@ def _seconds_text(figures: dict[str, Any]) -> list[str]:
     seconds = figures.get("seconds")
     if seconds is None:
         return []
+    if not figures["inputs"].get("table"):
+        per_tap = seconds["mean"] / figures["taps"]["mean"] if figures["taps"]["mean"] else 0.0
+        return [
+            f"  seconds           mean {seconds['mean']:.2f}: {per_tap:.2f} s for each tap, the "
+            "mean of the cell"
+        ]
     low, high = seconds["mean_interval"]
-    source = "" if figures["inputs"]["table"] else " (mean time of a tap)"
     return [
         f"  seconds           mean {seconds['mean']:.2f} (95 % interval {low:.2f} to {high:.2f}), "
-        f"90 % within {seconds['p90']:.1f}{source}"
+        f"90 % within {seconds['p90']:.1f}"
     ]
 
 

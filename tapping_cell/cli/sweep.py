@@ -63,6 +63,7 @@ PARAMETERS: dict[str, Callable[[argparse.Namespace, Value], None]] = {
     "direction-scatter": _entry("scatter", 2),
     "position-floor": _entry("scatter_floor", 0),
     "angle-floor": _entry("scatter_floor", 1),
+    "camera-noise": _both("camera_noise"),
     "camera-position-noise": _entry("camera_noise", 0),
     "camera-angle-noise": _entry("camera_noise", 1),
     "distance-bias": _entry("gain_bias", 0),

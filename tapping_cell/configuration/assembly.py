@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict
 
 import numpy as np
@@ -15,6 +16,7 @@ from tapping_cell.planning import (
     CameraNoise,
     CircleArea,
     PlannerSettings,
+    PlanningError,
     PolygonArea,
     PositioningSession,
     Scatter,
@@ -168,18 +170,28 @@ def make_session(
     tolerance: tuple[float, float] | None = None,
     planner: str = "",
     camera: CameraNoise | None = None,
+    probe: bool = False,
 ) -> GoalSession:
     """Create the closed loop of one goal: x, y (m), theta (rad) of the object in `table`.
 
     ``tolerance`` (m and rad), ``planner`` and ``camera`` replace the values of the cell file.
-    Create one session for each goal. For many goals, create the parts once
-    (``PositioningSession``), because the map of the table takes about 0.1 s.
+    ``probe``: begin with a few of the smallest taps, to measure an unknown friction. Create one
+    session for each goal. For many goals, create the parts once (``PositioningSession``), because
+    the map of the table takes about 0.1 s.
 
     Raises:
-        tapping_cell.planning.PlanningError: the planning method is unknown.
+        tapping_cell.planning.PlanningError: the planning method is unknown, a value is out of
+            range, or a probe is requested of fixed tappers.
     """
-    settings = make_planner_settings(cell, tolerance or cell.tolerance, camera=camera)
+    wanted = cell.tolerance if tolerance is None else tolerance
+    if not isinstance(wanted, Sequence) or len(wanted) != 2:
+        raise PlanningError(
+            f"the tolerance is {wanted!r}; give two numbers, (position in m, angle in rad)"
+        )
+    settings = make_planner_settings(cell, (wanted[0], wanted[1]), camera=camera)
     if cell.file.fixed_tappers is not None:
+        if probe:
+            raise PlanningError("fixed tappers make no probe taps; leave out probe")
         return FixedTapperSession(goal, settings, make_fixed_space(cell))
     method = make_planner(planner or cell.file.goal.planner, settings)
-    return PositioningSession(goal, method, make_strike_space(cell))
+    return PositioningSession(goal, method, make_strike_space(cell), probe=probe)

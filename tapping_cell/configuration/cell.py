@@ -827,9 +827,9 @@ class CameraSection:
     """Accuracy that the planner assumes for a pose measured at rest."""
 
     position_noise: float = quantity(
-        "standard deviation of a measured position along each axis", "m", 0.0, 0.1
+        "standard deviation of a measured position along each axis", "m", 0.0, 0.01
     )
-    angle_noise: float = quantity("standard deviation of a measured angle", "rad", 0.0, 1.0)
+    angle_noise: float = quantity("standard deviation of a measured angle", "rad", 0.0, 0.1)
 
 
 @dataclass(frozen=True, slots=True)

@@ -328,7 +328,7 @@ class ObjectFile:
     )
     scatter: ScatterSection = section("scatter of a tap", default=ScatterSection())
     calibration: Provenance | None = section(
-        "record of the fit, written by the verb fit", default=None
+        "record of the fit, written by `object fit`", default=None
     )
 
     def __post_init__(self) -> None:

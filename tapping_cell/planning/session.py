@@ -6,13 +6,14 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from tapping_cell.mechanics import Polygon
 from tapping_cell.planning.alternatives import alternative_taps
+from tapping_cell.planning.errors import PlanningError
 from tapping_cell.planning.free_space import FreeSpace
 from tapping_cell.planning.gains import LOWEST, NAMES, Gains, Slid, Spread
 from tapping_cell.planning.goal import check_goal, edge_warning, others_text, place_text
@@ -20,7 +21,13 @@ from tapping_cell.planning.interface import Array, Planner, Taps, TapValues
 from tapping_cell.planning.near_taps import NearTaps, best_first, near_taps
 from tapping_cell.planning.refusal import Refusal, RefusalReason
 from tapping_cell.planning.settings import CameraNoise, PlannerSettings
-from tapping_cell.planning.stopping import LONG_OBSERVATION, StoppingBox, stopping_box
+from tapping_cell.planning.stopping import (
+    LONG_OBSERVATION,
+    MARGIN,
+    SMALLEST_SHARE,
+    StoppingBox,
+    stopping_box,
+)
 from tapping_cell.planning.strike import BoolArray, StrikePlan, StrikeSpace
 from tapping_cell.planning.tap_times import TapTimes
 from tapping_cell.planning.track import Launched, Track, launch_from, launched_of, slid_of
@@ -56,6 +63,9 @@ MIN_ROTATION_GAIN = float(LOWEST[NAMES.index("rotation")])
 
 NEAR_CHUNK = 12
 """Number of taps whose clearance is checked together, best first."""
+
+_ROUNDING = 1e-6
+"""Rounding error that is accepted in the correlations of a covariance."""
 
 BLOCKED = 1.05
 """Ratio of path length to straight distance above which the straight line counts as blocked.
@@ -236,6 +246,9 @@ class GoalSession(ABC):
             covariance: covariance (3, 3) of that pose; None uses the camera's nominal noise.
             observe_again: whether a longer observation is possible. ``ObserveAgain`` is returned
                 only if this is True. Without longer observations, a goal needs more taps.
+
+        Raises:
+            PlanningError: the covariance is not (3, 3).
         """
         if self._goal_refusal is not None:
             return self._goal_refusal
@@ -243,8 +256,15 @@ class GoalSession(ABC):
         if pose.shape != (3,) or not np.all(np.isfinite(pose)):
             return Refusal(
                 RefusalReason.OBJECT_POSE_NOT_FINITE,
-                f"the object's pose {pose.tolist()} is not three finite numbers; observe the "
-                "object again",
+                f"the object's pose {pose.tolist()} is not three finite numbers; check the camera, "
+                "then send the goal again",
+            )
+        if covariance is not None and not _possible_covariance(covariance):
+            return Refusal(
+                RefusalReason.OBJECT_POSE_NOT_FINITE,
+                f"the covariance {np.asarray(covariance).tolist()} of the object's pose is not "
+                "finite, symmetric and positive semidefinite; give that of x, y (m) and theta "
+                "(rad), then send the goal again",
             )
         arrived = self.arrived(pose, covariance, observe_again=observe_again)
         if arrived is not None:
@@ -263,29 +283,35 @@ class GoalSession(ABC):
 
         The caller makes each ``Strike`` before it asks for the next decision. After an
         ``ObserveAgain`` the loop observes again and decides on the mean of all observations, at
-        most ``LONG_OBSERVATION``. The last decision is ``Done`` or a ``Refusal``.
+        most ``LONG_OBSERVATION``. The last decision is ``Done`` or a ``Refusal``. If even that many
+        observations cannot confirm a goal, the first tap is refused (CAMERA_TOO_COARSE).
 
         Args:
             observe: observes the object at rest once. Returns its pose (3,), m and rad in `table`,
                 and the covariance (3, 3) of this pose. The errors of two observations must be
                 independent.
+
+        Raises:
+            PlanningError: ``observe`` returned something else.
         """
         fired: Strike | None = None
         seen: Array = np.full(3, math.nan)
         while True:
-            before, (first, covariance) = seen, observe()
-            seen = np.asarray(first, dtype=float)
-            total: Array = np.asarray(covariance, dtype=float)
+            before = seen
+            seen, covariance = _checked(observe())
+            total = covariance
             if fired is not None:
                 self.observe(fired, before, seen, total)
             for count in range(1, LONG_OBSERVATION + 1):
                 if count > 1:
-                    fresh, covariance = observe()
+                    fresh, covariance = _checked(observe())
                     seen = displaced(seen, difference(seen, fresh) / count)
-                    total = total + np.asarray(covariance, dtype=float)
+                    total = total + covariance
                 decision = self.decide(
                     seen, total / count**2, observe_again=count < LONG_OBSERVATION
                 )
+                if fired is None and isinstance(decision, Strike):
+                    decision = self._coarse(covariance / LONG_OBSERVATION) or decision
                 yield decision
                 if not isinstance(decision, ObserveAgain):
                     break
@@ -308,6 +334,22 @@ class GoalSession(ABC):
         if observe_again and found.doubtful:
             return ObserveAgain(residual, float(found.probability))
         return None
+
+    def _coarse(self, covariance: Array) -> Refusal | None:
+        """Return a refusal if an observation with this covariance cannot confirm a goal."""
+        if self.stopping(covariance).camera_suffices:
+            return None
+        noise, settings = noise_of(covariance), self.settings
+        most = (1.0 - SMALLEST_SHARE) / MARGIN
+        return Refusal(
+            RefusalReason.CAMERA_TOO_COARSE,
+            f"the camera is too coarse for the tolerance: after {LONG_OBSERVATION} observations "
+            f"the standard deviations are still {1e3 * noise.position:.3f} mm and "
+            f"{math.degrees(noise.angle):.3f} degrees, but a goal can be confirmed only up to "
+            f"{1e3 * most * settings.tolerance_position:.3f} mm and "
+            f"{math.degrees(most * settings.tolerance_angle):.3f} degrees; calibrate the camera or "
+            "widen the tolerance",
+        )
 
     def _camera_refusal(self, left: Array, box: StoppingBox) -> Refusal | None:
         settings = self.settings
@@ -797,6 +839,41 @@ def _elsewhere(commanded: Array, missed: tuple[float, ...]) -> BoolArray:
     heading = np.arctan2(commanded[..., 1], commanded[..., 0])
     between = np.abs(wrap_angle(heading[..., None] - np.array(missed)))
     return np.asarray(np.all(between >= ELSEWHERE, axis=-1))
+
+
+def _checked(observed: Any) -> tuple[Array, Array]:
+    """Return pose and covariance of an observation as arrays. Raises PlanningError."""
+    try:
+        seen, covariance = observed
+        pose: Array = np.asarray(seen, dtype=float)
+        matrix: Array = np.asarray(covariance, dtype=float)
+    except (TypeError, ValueError):
+        pose = matrix = np.zeros(0)
+    if pose.shape != (3,) or matrix.shape != (3, 3):
+        raise PlanningError(
+            f"observe() returned {observed!r}; return a pose (x, y, theta) and its covariance "
+            "(3, 3), in m and rad, such as pose, CameraNoise(1e-4, 1e-3).covariance"
+        )
+    return pose, matrix
+
+
+def _possible_covariance(covariance: ArrayLike) -> bool:
+    """Return whether a covariance is finite, symmetric and positive semidefinite, apart from
+    rounding. Raises PlanningError if it is not (3, 3)."""
+    matrix = np.asarray(covariance, dtype=float)
+    if matrix.shape != (3, 3):
+        raise PlanningError(
+            f"the covariance {covariance!r} is not a matrix (3, 3) of x, y (m) and theta (rad); "
+            "CameraNoise(1e-4, 1e-3).covariance is that of a camera"
+        )
+    variance = np.diag(matrix)
+    if not np.all(np.isfinite(matrix)) or np.any(variance < 0.0):
+        return False
+    # As correlations, because the units of the elements differ.
+    scale = np.sqrt(np.where(variance > 0.0, variance, 1.0))
+    unit = matrix / np.outer(scale, scale)
+    symmetric = bool(np.all(np.abs(unit - unit.T) <= _ROUNDING))
+    return symmetric and float(np.min(np.linalg.eigvalsh(unit))) >= -_ROUNDING
 
 
 def noise_of(covariance: ArrayLike) -> CameraNoise:

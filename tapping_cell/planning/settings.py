@@ -32,6 +32,8 @@ SMALLEST_POSITION_TOLERANCE, LARGEST_POSITION_TOLERANCE = 1e-5, 0.1
 """Minimum and maximum position tolerance of a goal, m."""
 LARGEST_ANGLE_TOLERANCE = 1.5
 """Maximum angle tolerance of a goal, rad."""
+LARGEST_NOISE, LARGEST_ANGLE_NOISE = 0.01, 0.1
+"""Maximum nominal noise of a camera, m and rad. A larger value is most likely in mm or degrees."""
 
 
 def _check_range(owner: object, name: str, low: float, high: float, unit: str) -> None:
@@ -49,8 +51,8 @@ class Scatter:
 
     distance, rotation: shares of the tap's distance and rotation. direction: rad. The default
     values are assumptions; Huang and Mason (section 3.1.1) measured the scatter of the initial
-    velocities (see above). position_floor (m, along and across the tap), angle_floor (rad): parts that do not
-    decrease with the size of the tap.
+    velocities (see above). position_floor (m, along and across the tap), angle_floor (rad): parts
+    that do not decrease with the size of the tap.
     """
 
     distance: float = 0.05
@@ -146,6 +148,17 @@ class PlannerSettings:
         smallest, largest = SMALLEST_POSITION_TOLERANCE, LARGEST_POSITION_TOLERANCE
         _check_range(self, "tolerance_position", smallest, largest, "m")
         _check_range(self, "tolerance_angle", 1e-5, LARGEST_ANGLE_TOLERANCE, "rad")
+        camera = self.camera
+        if not isinstance(camera, CameraNoise):
+            raise PlanningError(
+                f"the camera is {camera!r}; give CameraNoise(position, angle), m, rad"
+            )
+        if camera.position > LARGEST_NOISE or camera.angle > LARGEST_ANGLE_NOISE:
+            raise PlanningError(
+                f"the camera noise is {camera.position:g} m and {camera.angle:g} rad; the limits "
+                f"are {LARGEST_NOISE:g} m and {LARGEST_ANGLE_NOISE:g} rad; give m and rad, not mm "
+                "and degrees"
+            )
         if self.box is not None:
             _check_range(self, "box", 0.05, 1.0, "(share of the tolerance)")
         if self.error_line is not None:

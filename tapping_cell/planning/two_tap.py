@@ -26,7 +26,7 @@ ROUNDING = 1e-6
 
 ERROR_LINE = 0.3
 """Relative error of the rotation that conservative plans allow for: twice the standard deviation of
-15 % (section 3.1.1 of the paper)."""
+15 % that the supplied objects have."""
 
 
 @dataclass(frozen=True, slots=True)

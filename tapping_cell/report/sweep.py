@@ -22,6 +22,7 @@ POINT_COLUMNS = {
     "direction-scatter": "direction_scatter_deg",
     "position-floor": "position_floor_mm",
     "angle-floor": "angle_floor_deg",
+    "camera-noise": "camera_noise_mm_deg",
     "camera-position-noise": "camera_position_noise_mm",
     "camera-angle-noise": "camera_angle_noise_deg",
     "distance-bias": "distance_bias_percent",
@@ -32,10 +33,11 @@ POINT_COLUMNS = {
 }
 """For each parameter of a sweep, its column in the tables."""
 COLUMNS = {
-    "mean_taps": "mean number of taps",
+    "mean_taps": "mean number of taps; with endless trials a lower bound",
     "mean_low": "lower end of its 95 % interval",
     "mean_high": "upper end of its 95 % interval",
     "p90_taps": "number of taps within which 90 % of the trials ended",
+    "endless_percent": "trials aborted after `--most-taps`, which they count as, of all",
     "done_percent": "trials that ended at the goal according to the planner, of all",
     "truly_inside_percent": "trials in which the true pose is inside the tolerance, of those done",
     "trials_per_second": "speed of the simulation",
@@ -52,6 +54,7 @@ def sweep_numbers(figures: Mapping[str, Any]) -> dict[str, float]:
         low,
         high,
         taps.get("p90", float("nan")),
+        100 * figures["endless"] / figures["trials"],
         100 * figures["success_rate"],
         100 * figures["truly_inside_rate"],
         figures["trials_per_second"],
@@ -80,11 +83,19 @@ def sweep_table(rows: Sequence[Row]) -> str:
         n = sweep_numbers(figures)
         values = [_text(point[name]) for name in names]
         lines.append(
-            f"| {' | '.join(values)} | {n['mean_taps']:.3f} ({n['mean_low']:.3f} to"
-            f" {n['mean_high']:.3f}) | {n['p90_taps']:.0f} | {n['done_percent']:.1f} % |"
+            f"| {' | '.join(values)} | {_mean_text(n)} | {n['p90_taps']:.0f} |"
+            f" {n['done_percent']:.1f} % |"
             f" {n['truly_inside_percent']:.2f} % |"
         )
     return "\n".join(lines)
+
+
+def _mean_text(numbers: Mapping[str, float]) -> str:
+    """Return the mean and its interval. Of aborted trials only the limit is known."""
+    if numbers["endless_percent"]:
+        share = numbers["endless_percent"]
+        return f"at least {numbers['mean_taps']:.3f} ({share:.1f} % endless)"
+    return f"{numbers['mean_taps']:.3f} ({numbers['mean_low']:.3f} to {numbers['mean_high']:.3f})"
 
 
 def write_sweep(

@@ -26,7 +26,8 @@ TRIAL_COLUMNS = {
     "inside": "whether the true pose is inside the tolerance",
     "distance_mm": "true remaining distance",
     "rotation_deg": "true remaining rotation",
-    "seconds": "duration of the taps, s; `nan` if unknown",
+    "seconds": "duration of the taps, s; without `--table` the number of taps times the cell's "
+    "mean time of a tap; `nan` if unknown",
 }
 """Columns of ``trials.csv`` and their meanings, after those that tell the evaluations apart."""
 SCENE_COLUMNS = {
@@ -71,7 +72,7 @@ def write_table(path: Path, columns: Mapping[str, Sequence[Any]]) -> None:
     table = csv.writer(text, lineterminator="\n")
     table.writerow(columns)
     for row in zip(*columns.values(), strict=True):
-        table.writerow([f"{cell:.9g}" if isinstance(cell, float) else cell for cell in row])
+        table.writerow([f"{cell:.13g}" if isinstance(cell, float) else cell for cell in row])
     replace_text(path, text.getvalue())
     other = path.with_suffix(".parquet")
     other.unlink(missing_ok=True)  # it would not match the new CSV file

@@ -69,7 +69,14 @@ def planner(run, capsys, monkeypatch):
     assert found["truly_inside_rate"] == 1.0 and found["taps"]["mean"] < 3.0
 
 
+def environment(run, _, __):
+    pytest.importorskip("gymnasium", reason="gymnasium is optional")
+    names = run()
+    assert names["reward"] == -1.0 and names["observation"].shape == (6,)
+
+
 CHECKS = {
+    ("docs/simulation.md", 0): environment,
     ("docs/planning.md", 1): planner,
     ("docs/mechanics.md", 0): mechanics,
     ("docs/planning.md", 0): planning,

@@ -10,8 +10,8 @@ from gymnasium.utils.env_checker import check_env
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tapping_cell.planning import make_planner
-from tapping_cell.se2 import difference
+from tapping_cell.planning import PlanningError, make_planner
+from tapping_cell.se2 import Pose, difference
 from tapping_cell.tapping_env import MOST_TAPS, TappingEnv
 
 NAME = "tapping_cell.tapping_env:Tapping-v0"
@@ -81,14 +81,34 @@ def test_every_action_is_a_tap_that_the_mechanics_allow(env, action):
         assert math.hypot(moved[0] - dx, moved[1] - dy) <= 0.3 * size + 1e-3
 
 
-def test_an_object_off_the_table_ends_the_episode(env):
-    env.reset(seed=0)
-    for _ in range(MOST_TAPS):
-        observation, _, ended, _, info = env.step(np.array([0.12, 0.0, 0.0]))
-        if ended or not info["possible"]:
-            break
-    assert not info["reached"]
-    assert env.observation_space.contains(observation)
+def test_leaving_the_table_costs_more_than_any_number_of_taps(env):
+    """The object starts near the edge, and is tapped in all directions."""
+    ends = []
+    for heading in np.linspace(0.0, 2 * math.pi, 12, endpoint=False):
+        env.reset(seed=0)
+        env._table.place(Pose(0.95 * env._cell.file.table.length / 2, 0.0, 0.0))
+        env._seen = env._observe()[0]
+        action = 0.12 * np.array([math.cos(heading), math.sin(heading), 0.0])
+        observation, reward, ended, _, info = env.step(action)
+        assert not info["reached"] and env.observation_space.contains(observation)
+        left = abs(env._table.pose.x) > env._cell.file.table.length / 2
+        assert ended == left and (reward < -MOST_TAPS) == left
+        ends.append(left)
+    assert any(ends) and not all(ends)
+
+
+@pytest.mark.parametrize(
+    ("options", "expected"),
+    [
+        ({"gaol": (0.01, 0.0, 0.0)}, "gaol"),
+        ({"goal": 0.01}, "dtheta"),
+        ({"goal": (5.0, 0.0, 0.0)}, "outside the table"),
+        ({"goal": (math.nan, 0.0, 0.0)}, "finite"),
+    ],
+)
+def test_an_impossible_option_is_refused(env, options, expected):
+    with pytest.raises(PlanningError, match=expected):
+        env.reset(seed=0, options=options)
 
 
 @pytest.mark.parametrize("mode", ["sync", "async"])

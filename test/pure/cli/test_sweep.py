@@ -175,6 +175,10 @@ def test_the_table_names_what_was_swept() -> None:
         "success_rate": 1.0,
         "truly_inside_rate": 0.995,
         "trials_per_second": 1000.0,
+        "trials": 40,
+        "endless": 0,
     }
     text = sweep_table([({"planner": "exact", "tolerance": 0.3}, figures)])
     assert text.splitlines()[2].startswith("| exact | 0.3 | 2.000 (1.900 to 2.100) | 3 | 100.0 %")
+    text = sweep_table([({"planner": "exact"}, figures | {"endless": 4})])
+    assert "| at least 2.000 (10.0 % endless) |" in text

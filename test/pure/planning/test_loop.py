@@ -9,7 +9,17 @@ from hypothesis import settings
 
 from tapping_cell.configuration.assembly import make_session, make_strike_space
 from tapping_cell.configuration.cell import CameraSection, load_cell
-from tapping_cell.planning import Done, FreeSpace, ObserveAgain, PositioningSession, Strike
+from tapping_cell.planning import (
+    CameraNoise,
+    Done,
+    FreeSpace,
+    ObserveAgain,
+    PlanningError,
+    PositioningSession,
+    Refusal,
+    RefusalReason,
+    Strike,
+)
 from tapping_cell.planning.evaluation.worlds import AbstractWorld
 from tapping_cell.se2 import displaced
 
@@ -89,3 +99,65 @@ def test_the_loop_learns_from_the_mean_of_the_observations(parts):
     assert isinstance(strike, Strike) and np.array_equal(noise, covariance)
     assert before == pytest.approx(2 * near / 3, abs=1e-9)
     assert after == pytest.approx(GOAL)
+
+
+GOOD = NOISE.position_noise**2 * np.eye(3)
+
+
+@pytest.mark.parametrize("pose", [np.zeros(3), np.array(GOAL)], ids=["away", "at the goal"])
+@pytest.mark.parametrize(
+    "covariance",
+    [-GOOD, np.nan * GOOD, GOOD + np.triu(GOOD[0, 0] * np.ones((3, 3)), 1), 2 * GOOD[::-1] + GOOD],
+    ids=["negative", "nan", "asymmetric", "indefinite"],
+)
+def test_an_impossible_covariance_is_refused(parts, pose, covariance):
+    refusal = PositioningSession(GOAL, *parts).decide(pose, covariance)
+    assert isinstance(refusal, Refusal) and "covariance" in refusal.sentence
+
+
+@pytest.mark.parametrize(
+    "seen",
+    [None, np.zeros(3), (np.zeros(3), None), (np.zeros(3), np.ones(3)), (np.zeros(3), np.eye(2))],
+    ids=["none", "pose only", "no covariance", "vector", "2 x 2"],
+)
+def test_an_observation_of_another_form_is_an_error_that_says_what_to_return(parts, seen):
+    session = PositioningSession(GOAL, *parts)
+    with pytest.raises(PlanningError, match=r"return a pose .* covariance \(3, 3\)"):
+        next(session.decisions(lambda: seen))
+
+
+def test_a_covariance_of_another_shape_is_an_error(parts):
+    with pytest.raises(PlanningError, match=r"\(3, 3\)"):
+        PositioningSession(GOAL, *parts).decide(np.zeros(3), np.eye(2))
+
+
+def test_a_camera_that_can_never_confirm_the_goal_is_refused_before_the_first_tap(parts):
+    """With an accuracy of 0.7 mm and 0.8 degrees, as in the paper, and one just good enough."""
+    decisions = []
+    for angle in (0.8, 0.72):
+        camera = CameraNoise(0.0007, math.radians(angle))
+        session = PositioningSession(GOAL, *parts)
+        decisions.append(next(session.decisions(lambda c=camera: (np.zeros(3), c.covariance))))
+    refusal, tap = decisions
+    assert isinstance(refusal, Refusal) and refusal.reason is RefusalReason.CAMERA_TOO_COARSE
+    assert "0.267 degrees" in refusal.sentence and "0.243" in refusal.sentence
+    assert isinstance(tap, Strike)
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        ({"camera": (1e-4, 1e-3)}, "CameraNoise"),
+        ({"camera": CameraNoise(0.1, 0.05)}, "m and rad, not mm"),
+        ({"tolerance": 0.001}, "two numbers"),
+    ],
+)
+def test_a_value_of_another_form_or_unit_is_refused(words, expected):
+    with pytest.raises(PlanningError, match=expected):
+        make_session(load_cell(), GOAL, **words)
+
+
+def test_a_session_begins_with_a_probe_on_request():
+    session = make_session(noisy_cell(), GOAL, planner="exact", probe=True)
+    first = session.decide(np.zeros(3))
+    assert isinstance(first, Strike) and "probe" in first.detour

@@ -27,9 +27,11 @@ def rows(path):
 
 def test_a_table_keeps_numbers_texts_and_unknown_values(tmp_path):
     columns = {"name": ["a, b", "c"], "taps": [1, 2], "x_mm": [1 / 3, math.nan]}
+    columns["began_unix_s"] = [1795970540.125, 0.0]
     write_table(tmp_path / "t.csv", columns)
     first, second = rows(tmp_path / "t.csv")
-    assert first == {"name": "a, b", "taps": "1", "x_mm": "0.333333333"}
+    assert float(first.pop("x_mm")) == pytest.approx(1 / 3, rel=1e-9)
+    assert first == {"name": "a, b", "taps": "1", "began_unix_s": "1795970540.125"}
     assert second["x_mm"] == "nan"
 
 
