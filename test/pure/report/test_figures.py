@@ -145,6 +145,7 @@ def taps(mean: float, most: int = 8) -> dict[str, object]:
         "taps": {**counted, "p90": most},
         "trials": 10 * most,
         "trials_per_second": 1000.0,
+        "endless": 0,
         "success_rate": 0.98,
         "truly_inside_rate": 0.97,
         "more_taps": {"mean": mean - 3.0, "mean_interval": interval, "than": "optimal"},
