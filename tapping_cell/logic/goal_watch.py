@@ -1,8 +1,8 @@
 """Check, for a waiting client, whether the planner still pursues the goal that it has accepted.
 
-After a crash of the planner, no action result is sent. If the planner restarts early enough to
-resume the goal, it reports the end of the goal only in ``plan_state``. If the planner does not
-resume the goal, the client has to end the wait.
+The result of an action may be lost on its way. After a crash of the planner, none is sent. If the
+planner restarts early enough to resume the goal, it reports the end of the goal only in
+``plan_state``. If the planner does not resume the goal, the client has to end the wait.
 """
 
 from __future__ import annotations
@@ -24,6 +24,8 @@ RESUMING_S = 10.0
 """Maximum wait for a restarted planner to resume the goal."""
 GRACE_S = 1.0
 """Maximum time between the final report and the action result, if there is a result."""
+LOST_RESULT_S = 5.0
+"""Time after the final report of a running planner from which the action result counts as lost."""
 SAME_M = 1e-6
 SAME_RAD = 1e-6
 
@@ -45,7 +47,7 @@ class GoalWatch:
         sent."""
         self._goal = goal
         self._planners = planners
-        self._received = self._quiet_since = self._gone_since = now
+        self._accepted_at = self._received = self._quiet_since = self._gone_since = now
         self._final_since = math.inf
         self.gone = False
         """Whether the planner that accepted the goal has ended or has timed out."""
@@ -69,8 +71,9 @@ class GoalWatch:
         if not self.gone and (silent or not planners <= self._planners):
             self.gone = True
             self._gone_since = self._quiet_since = now
+            self._final_since = math.inf
         if not self.gone:
-            return None
+            return self._lost_result(plan, pose, received_at, now)
         if silent:
             self._quiet_since, self._final_since = now, math.inf
             if now - self._received > RETURN_S:
@@ -97,6 +100,19 @@ class GoalWatch:
             return None
         self._final_since = min(self._final_since, now)
         if now - self._final_since < GRACE_S:
+            return None
+        return Ended(plan.error_code, plan.error_msg)
+
+    def _lost_result(
+        self, plan: PlanState | None, pose: Pose | None, received_at: float, now: float
+    ) -> Ended | None:
+        """Return the end that a running planner has reported for long, or None."""
+        new = received_at > self._accepted_at and pose is not None and self._is_goal(pose)
+        if not new or plan is None or plan.state not in FINAL_STATES:
+            self._final_since = math.inf
+            return None
+        self._final_since = min(self._final_since, now)
+        if now - self._final_since < LOST_RESULT_S:
             return None
         return Ended(plan.error_code, plan.error_msg)
 

@@ -5,7 +5,16 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tapping_cell.logic.goal_watch import GRACE_S, RESUMING_S, RETURN_S, SILENCE_S, Ended, GoalWatch
+from tapping_cell.logic.goal_watch import (
+    FINAL_STATES,
+    GRACE_S,
+    LOST_RESULT_S,
+    RESUMING_S,
+    RETURN_S,
+    SILENCE_S,
+    Ended,
+    GoalWatch,
+)
 from tapping_cell.messages import ErrorCode, PlanState
 from tapping_cell.se2 import Pose
 
@@ -47,6 +56,19 @@ class Client:
 def test_a_working_planner_is_waited_for() -> None:
     client = Client()
     assert client.wait(3600.0, PlanState.PLACING) is None and not client.watch.gone
+
+
+@given(st.sampled_from(FINAL_STATES), st.sampled_from([0, ErrorCode.TAP_LIMIT_REACHED]))
+def test_the_reported_end_counts_if_the_result_is_lost(state: int, code: int) -> None:
+    client = Client()
+    # The report of an earlier goal, which was sent again.
+    assert client.wait(LOST_RESULT_S - PERIOD, state, code=code) is None
+    assert client.wait(60.0, PlanState.PLACING) is None
+    assert client.wait(60.0, state, pose=Pose(0.0, 0.0, 0.0), code=code) is None
+    ended = client.now
+    assert client.wait(60.0, state, code=code) == Ended(code, "why" if code else "")
+    assert LOST_RESULT_S <= client.now - ended <= LOST_RESULT_S + 2 * PERIOD
+    assert not client.watch.gone
 
 
 def test_a_planner_that_does_not_return_ends_the_wait() -> None:
