@@ -47,7 +47,7 @@ class GoalWatch:
         sent."""
         self._goal = goal
         self._planners = planners
-        self._accepted_at = self._received = self._quiet_since = self._gone_since = now
+        self._received = self._quiet_since = self._new_since = now
         self._final_since = math.inf
         self.gone = False
         """Whether the planner that accepted the goal has ended or has timed out."""
@@ -70,10 +70,12 @@ class GoalWatch:
         silent = now - self._received > SILENCE_S
         if not self.gone and (silent or not planners <= self._planners):
             self.gone = True
-            self._gone_since = self._quiet_since = now
+            self._new_since = self._quiet_since = now
             self._final_since = math.inf
+        # A report from before this time may be of an earlier goal with the same pose.
+        new = received_at > self._new_since and pose is not None and self._is_goal(pose)
         if not self.gone:
-            return self._lost_result(plan, pose, received_at, now)
+            return self._reported_end(plan if new else None, LOST_RESULT_S, now)
         if silent:
             self._quiet_since, self._final_since = now, math.inf
             if now - self._received > RETURN_S:
@@ -83,8 +85,6 @@ class GoalWatch:
                     f"{RETURN_S:.0f} s; check its log, restart it, then send the goal again",
                 )
             return None
-        # A report from before this planner was gone may be of an earlier goal with the same pose.
-        new = received_at > self._gone_since and pose is not None and self._is_goal(pose)
         if not new or plan is None or plan.state == PlanState.IDLE:
             self._final_since = math.inf
             if now - self._quiet_since > RESUMING_S:
@@ -95,24 +95,15 @@ class GoalWatch:
                 )
             return None
         self._quiet_since = now
-        if plan.state not in FINAL_STATES:
-            self._final_since = math.inf
-            return None
-        self._final_since = min(self._final_since, now)
-        if now - self._final_since < GRACE_S:
-            return None
-        return Ended(plan.error_code, plan.error_msg)
+        return self._reported_end(plan, GRACE_S, now)
 
-    def _lost_result(
-        self, plan: PlanState | None, pose: Pose | None, received_at: float, now: float
-    ) -> Ended | None:
-        """Return the end that a running planner has reported for long, or None."""
-        new = received_at > self._accepted_at and pose is not None and self._is_goal(pose)
-        if not new or plan is None or plan.state not in FINAL_STATES:
+    def _reported_end(self, plan: PlanState | None, patience: float, now: float) -> Ended | None:
+        """Return the end that ``plan`` has reported for ``patience`` s, or None."""
+        if plan is None or plan.state not in FINAL_STATES:
             self._final_since = math.inf
             return None
         self._final_since = min(self._final_since, now)
-        if now - self._final_since < LOST_RESULT_S:
+        if now - self._final_since < patience:
             return None
         return Ended(plan.error_code, plan.error_msg)
 
