@@ -94,6 +94,15 @@ class Page:
         names = ("goal-x", "goal-y", "goal-angle")
         return [float(self.element(each).get_property("value") or "nan") for each in names]
 
+    def settled_fields(self) -> list[float]:
+        """Return the goal's fields when they have not changed for a second."""
+        fields, since = self.fields(), time.monotonic()
+        while time.monotonic() < since + 1.0:
+            time.sleep(0.1)
+            if self.fields() != fields:
+                fields, since = self.fields(), time.monotonic()
+        return fields
+
     def type_goal(self, *values: object) -> None:
         for name, value in zip(("goal-x", "goal-y", "goal-angle"), values, strict=True):
             field = self.element(name)
@@ -253,8 +262,7 @@ def test_the_dragged_ghost_sets_the_goal_and_the_taps_are_listed(page: Page) -> 
     turned = page.fields()[2]
     page.drag("ghost-handle", 6, 10)
     page.wait(lambda: abs(page.fields()[2] - turned) > 3.0, "the handle turns the ghost")
-    time.sleep(0.5)
-    x, y, angle = page.fields()
+    x, y, angle = page.settled_fields()
     ghost = page.element("ghost-outline")
     ghost.send_keys(Keys.ARROW_RIGHT, Keys.ARROW_RIGHT, Keys.ARROW_UP, Keys.PAGE_DOWN)
     keyed = [x + 2, y + 1, angle - 1]

@@ -57,7 +57,9 @@ class Ghost {
     if (message.trouble) {
       this.onPose({ trouble: message.trouble }, typed);
     } else {
-      this.shape = message;
+      // A key press during the request goes on from the pose of the press, not from this older one.
+      const next = this.next?.content;
+      this.shape = next?.do === "place" ? { ...message, x: next.x, y: next.y, angle: next.angle } : message;
       this.group.removeAttribute("hidden");
       this.group.classList.toggle("touched", this.touched);
       this.group.classList.toggle("refused", Boolean(message.refusal));
