@@ -119,7 +119,7 @@ class Cell:
 
     def at_rest(self) -> bool:
         resting = self.board.state in ("SAFE", "UNHOMED")
-        return self.arm.logic.state is arm_states.State.IDLE and resting
+        return self.arm_states[-1].state == ArmState.IDLE and resting
 
     def end(self) -> None:
         """Withdraw the tap and wait until the arm has moved away."""
@@ -235,7 +235,7 @@ def test_a_second_publisher_is_named_and_nothing_is_charged_fired_or_moved(cell:
             cell.wait(
                 partial(cell.contested, topic), f"the second publisher of {topic} is reported"
             )
-            cell.end()
+        cell.end()
         # While the last intruder is forgotten, a sentence may name both.
         named = f"{topic} (/probe, /{OWNERS[topic]})"
         assert any(named in state.error_msg for state in cell.tapper_states)
