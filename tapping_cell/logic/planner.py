@@ -102,7 +102,7 @@ class PlannerLogic:
         self._confirmations = Confirmations(settings.ask)
         self._reports = PlanReports(self._monitor, self._confirmations)
         self._resumption = Resumption(settings.resume_within, self._monitor, self._confirmations)
-        self._cell: tap_steps.Cell | None = None
+        self._parts: tap_steps.PlannerParts | None = None
         """The parts that the cycle of a tap uses; None before the planner is configured."""
         self._jobs = itertools.count(1)
         self._active = False
@@ -211,8 +211,8 @@ class PlannerLogic:
             return ()  # the decision is no longer awaited, for example because the goal has ended
         if event.fault is not None:
             raise event.fault
-        assert isinstance(at, Planning) and self._cell is not None
-        self._carry_out(tap_cycle.decided(at, event.result, seen, self._cell, now), now)
+        assert isinstance(at, Planning) and self._parts is not None
+        self._carry_out(tap_cycle.decided(at, event.result, seen, self._parts, now), now)
         return self._drain()
 
     def on_tick(self, now: Now) -> Sequence[Effect]:
@@ -247,7 +247,7 @@ class PlannerLogic:
             # of a planner that crashed.
             self._resumption.take()
             self._effects.append(KeepGoal(None))
-            if self._cell is not None:
+            if self._parts is not None:
                 self._report_again(now)
         if isinstance(lost, UnansweredRequest):
             answered = [effect.token for effect in self._effects if isinstance(effect, Answer)]
@@ -262,7 +262,7 @@ class PlannerLogic:
         assert isinstance(event.connected, GoalHandling)
         self.goals = event.connected
         self._inputs.configure(self.goals)
-        self._cell = tap_steps.Cell(
+        self._parts = tap_steps.PlannerParts(
             self._settings,
             self._monitor,
             self.goals,
@@ -353,8 +353,8 @@ class PlannerLogic:
         if kept is not None:
             self._resume(kept, now)
         at = self._record
-        if isinstance(at, Working) and self._cell is not None:
-            self._carry_out(tap_cycle.advance(at, self._cell, now), now)
+        if isinstance(at, Working) and self._parts is not None:
+            self._carry_out(tap_cycle.advance(at, self._parts, now), now)
 
     def _carry_out(self, steps: Iterable[Effect | Go | End], now: Now) -> None:
         """Carry out the steps of the cycle."""
@@ -381,8 +381,8 @@ class PlannerLogic:
         at = self._record
         if not isinstance(at, Confirming) or at.proposed.tap_id != asked.tap_id:
             return tap_decision.not_awaited(asked.tap_id, at)
-        assert self._cell is not None
-        response, steps = tap_decision.answered(at, asked.confirm, self._cell, now)
+        assert self._parts is not None
+        response, steps = tap_decision.answered(at, asked.confirm, self._parts, now)
         self._carry_out(steps, now)
         return response
 
@@ -410,7 +410,7 @@ class PlannerLogic:
         else:
             # Before the node is configured, the stored goal is still on disk.
             self._effects.append(KeepGoal(None))
-            if self._cell is not None and crashed is None:
+            if self._parts is not None and crashed is None:
                 return Trigger.Response(success=False, message="there is no goal to cancel")
         return Trigger.Response(success=True, message="goal canceled")
 
@@ -472,7 +472,7 @@ class PlannerLogic:
     def _make_report(
         self, subject: Subject, now: Now, code: int, sentence: str, draw: bool = True
     ) -> Iterable[Effect]:
-        goals = None if self._cell is None else self.goals
+        goals = None if self._parts is None else self.goals
         return self._reports.report(subject, goals, now, code, sentence, draw)
 
     def _log(self, level: LogLevel, sentence: str) -> None:

@@ -37,7 +37,7 @@ from tapping_cell.logic.tap_counts import GIVEN_UP
 from tapping_cell.logic.tap_decision import act, drop_proposal
 from tapping_cell.logic.tap_steps import (
     MOVED_BEFORE_TAP,
-    Cell,
+    PlannerParts,
     check_cell,
     disturbed,
     give_up,
@@ -54,7 +54,7 @@ from tapping_cell.logic.tap_steps import (
 from tapping_cell.messages import ErrorCode, ObjectState, TapperState
 
 
-def advance(at: Working, cell: Cell, now: Now) -> Steps:
+def advance(at: Working, parts: PlannerParts, now: Now) -> Steps:
     """Do what follows in the present state from the messages received so far and the time."""
     task = at.task
     if now.steady > task.expires:
@@ -64,21 +64,21 @@ def advance(at: Working, cell: Cell, now: Now) -> Steps:
             f" taps, last state {at.state.value}); send it again with a longer time limit",
         )
     elif not isinstance(at, Planning):  # its decision is received by ``decided``
-        yield from HANDLERS[type(at)](at, cell, now)
+        yield from HANDLERS[type(at)](at, parts, now)
 
 
-def wait_for_cell(at: WaitingForCell, cell: Cell, now: Now) -> Steps:
+def wait_for_cell(at: WaitingForCell, parts: PlannerParts, now: Now) -> Steps:
     """Wait until arm, tapper and camera are ready; end a tap left over from a former run."""
-    missing = cell.monitor.missing(now)
+    missing = parts.monitor.missing(now)
     if missing is None:
-        yield Go(Event.CELL_READY, new_look(at, cell, now))
+        yield Go(Event.CELL_READY, new_look(at, parts, now))
         return
-    unhomed = cell.monitor.unhomed()
+    unhomed = parts.monitor.unhomed()
     if at.task.is_resumed and unhomed is not None:
         # The arm may have been stopped while no planner ran. Homing must not continue the goal.
         yield failed(*unhomed)
         return
-    yield from cell.sender.withdraw_orphan(now)
+    yield from parts.sender.withdraw_orphan(now)
     if at.is_late(now.steady):
         code, sentence = missing
         yield failed(code, f"the cell was not ready: {sentence}")
@@ -86,133 +86,130 @@ def wait_for_cell(at: WaitingForCell, cell: Cell, now: Now) -> Steps:
         yield Go(None, replace(at, missing=missing))
 
 
-def look(at: Looking, cell: Cell, now: Now) -> Steps:
+def look(at: Looking, parts: PlannerParts, now: Now) -> Steps:
     """Observe the object at rest, evaluate the last tap, and decide on the next tap."""
-    task, monitor, needed = at.task, cell.monitor, cell.settings.frames_needed
+    task, monitor, needed = at.task, parts.monitor, parts.settings.frames_needed
     # After a fixed tapper's tap, the object may be at rest before the striker has returned.
     has_rested = monitor.at_rest_after(at.struck_at, now)
     is_observed = task.observed(monitor, at.struck_at if has_rested else at.since, needed, now)
     seen = monitor.object
     if seen is None or not is_observed:
-        yield from not_observed(at, cell, now)
+        yield from not_observed(at, parts, now)
         return
     if not task.ready:
-        yield postpone(at, cell, now)
+        yield postpone(at, parts, now)
         return
     shot, at = at.shot, replace(at, shot=None)
     if shot is not None:
         # Before the obstacles change, because the model of the tap belongs to the present ones.
         if tap_counts.may_have_been_fired(shot, monitor.has_arm):
-            yield from take_in(task, shot, seen, cell)
+            yield from take_in(task, shot, seen, parts)
             yield Go(None, at)  # from here on, the tap's record counts
         else:
             yield Go(None, at)
-            if tap_counts.exhausts(task, shot, cell.settings, is_late=True):
+            if tap_counts.exhausts(task, shot, parts.settings, is_late=True):
                 yield failed(ErrorCode.NOT_READY, GIVEN_UP)
                 return
-            yield from cell.resumption.keep(task, False, now)
+            yield from parts.resumption.keep(task, False, now)
     # While the arm may hide a part of the table, the camera does not search for unknown objects.
     search_since = at.since if monitor.withdrawn(now) else -math.inf
-    unknown = cell.goals.update_free_space(task, at.since, search_since, now)
+    unknown = parts.goals.update_free_space(task, at.since, search_since, now)
     if unknown is not None:
         if at.is_late(now.steady):
             yield failed(*unknown)
         return
     if not task.ready:  # other obstacles need another solution
-        yield postpone(at, cell, now)
+        yield postpone(at, parts, now)
         return
     task.arm = monitor.tip
     frames = 0 if at.is_late(now.steady) else needed
     computation = task.computation(frames)
     if computation is None:
-        yield from act(at, task.decide(seen, frames), seen, cell, now)
+        yield from act(at, task.decide(seen, frames), seen, parts, now)
         return
     # The decision is computed by a job outside the lock, so that the planner keeps publishing its
     # state.
-    number = next(cell.jobs)
+    number = next(parts.jobs)
     yield RunJob(Job(number, "plan", lambda _: computation()))
     yield Go(Event.OBSERVED, Planning(task=task, deadline=at.deadline, look=at, job=number))
 
 
-def decided(at: Planning, result: Any, seen: ObjectState, cell: Cell, now: Now) -> Steps:
+def decided(at: Planning, result: Any, seen: ObjectState, parts: PlannerParts, now: Now) -> Steps:
     """Act on the decision that a job has computed, unless an object was moved meanwhile."""
     task = at.task
-    outdated = task.outdated(cell.monitor, result, *moved_limits(cell))
-    if outdated or obstacles_changed(task, cell):
-        deadline = now.steady + cell.settings.observe_deadline
+    outdated = task.outdated(parts.monitor, result, *moved_limits(parts))
+    if outdated or obstacles_changed(task, parts):
+        deadline = now.steady + parts.settings.observe_deadline
         yield Go(Event.OBSERVATION_REQUESTED, replace(at.look, deadline=deadline))
     else:
-        yield from act(at, task.conclude(result), seen, cell, now)
+        yield from act(at, task.conclude(result), seen, parts, now)
 
 
-def wait_for_person(at: Confirming, cell: Cell, now: Now) -> Steps:
+def wait_for_person(at: Confirming, parts: PlannerParts, now: Now) -> Steps:
     """Wait until a person confirms or rejects the proposed tap; drop the proposal if an object
     moves."""
-    if cell.monitor.lost(now):
-        yield from wait_again(at, cell, now)
-    elif disturbed(at.task, at.proposed, cell, now):
-        yield from drop_proposal(at, "an object was moved", cell, now)
+    if parts.monitor.lost(now):
+        yield from wait_again(at, parts, now)
+    elif disturbed(at.task, at.proposed, parts, now):
+        yield from drop_proposal(at, "an object was moved", parts, now)
     elif at.is_late(now.steady):
         yield failed(
             ErrorCode.TAP_NOT_CONFIRMED,
             f"tap {at.proposed.number} was not confirmed within"
-            f" {cell.settings.confirm_deadline:.0f} s; send the goal again and answer on the"
+            f" {parts.settings.confirm_deadline:.0f} s; send the goal again and answer on the"
             " page or in the terminal",
         )
 
 
-def wait_for_arm(at: Placing, cell: Cell, now: Now) -> Steps:
+def wait_for_arm(at: Placing, parts: PlannerParts, now: Now) -> Steps:
     """Wait until the arm has moved the striker to its strike pose."""
-    shot, monitor = at.shot, cell.monitor
-    if disturbed(at.task, shot, cell, now):
+    shot, monitor = at.shot, parts.monitor
+    if disturbed(at.task, shot, parts, now):
         # arm_state may be late, so the tap may already have been fired. Only the tapper knows.
         yield Log(LogLevel.WARNING, MOVED_BEFORE_TAP)
-        cell.confirmations.withdraw("an object was moved")
-        yield from give_up(at, TapperState.UNKNOWN, cell, now)
+        parts.confirmations.withdraw("an object was moved")
+        yield from give_up(at, TapperState.UNKNOWN, parts, now)
     elif (unreachable := monitor.out_of_reach(shot.tap_id)) is not None:
-        yield from try_another_way(at, *unreachable, cell, now)
+        yield from try_another_way(at, *unreachable, parts, now)
     elif monitor.outcome(shot.tap_id) != TapperState.NONE:
-        yield from take_outcome(at, cell, now)
+        yield from take_outcome(at, parts, now)
     elif monitor.in_position(shot.tap_id):
-        deadline = now.steady + cell.settings.fire_deadline
+        deadline = now.steady + parts.settings.fire_deadline
         yield Go(Event.IN_POSITION, Firing(task=at.task, deadline=deadline, shot=shot))
     else:
-        sentence = (
-            f"the striker did not reach its strike pose within {cell.settings.place_deadline:.0f} s"
-        )
-        yield from check_cell(at, ErrorCode.ARM_TIMEOUT, sentence, cell, now)
+        limit = parts.settings.place_deadline
+        sentence = f"the striker did not reach its strike pose within {limit:.0f} s"
+        yield from check_cell(at, ErrorCode.ARM_TIMEOUT, sentence, parts, now)
 
 
-def wait_for_tapper(at: Firing, cell: Cell, now: Now) -> Steps:
+def wait_for_tapper(at: Firing, parts: PlannerParts, now: Now) -> Steps:
     """Wait until the tapper has charged and fired once."""
-    shot, monitor = at.shot, cell.monitor
+    shot, monitor = at.shot, parts.monitor
     if monitor.outcome(shot.tap_id) != TapperState.NONE:
-        yield from take_outcome(at, cell, now)
+        yield from take_outcome(at, parts, now)
         return
-    if disturbed(at.task, shot, cell, now):
+    if disturbed(at.task, shot, parts, now):
         # Either an object was moved before the tap, or the tap itself moved the object and the
         # tapper's report has not arrived yet. In both cases, the tap is withdrawn, and the tapper
         # still reports the outcome.
-        cell.confirmations.withdraw("an object was moved")
-        yield from cell.sender.withdraw(shot.tap_id, now)
+        parts.confirmations.withdraw("an object was moved")
+        yield from parts.sender.withdraw(shot.tap_id, now)
     if at.is_late(now.steady) or monitor.lost(now):
         yield Log(LogLevel.WARNING, "the tap's outcome is not known; observing the object")
-        yield from give_up(at, TapperState.UNKNOWN, cell, now)
+        yield from give_up(at, TapperState.UNKNOWN, parts, now)
 
 
-def settle(at: Settling, cell: Cell, now: Now) -> Steps:
+def settle(at: Settling, parts: PlannerParts, now: Now) -> Steps:
     """Wait until the arm has withdrawn and the camera has a free view."""
-    if cell.monitor.withdrawn(now) and now.steady >= at.moves_until:
-        yield Go(Event.WITHDRAWN, new_look(at, cell, now))
+    if parts.monitor.withdrawn(now) and now.steady >= at.moves_until:
+        yield Go(Event.WITHDRAWN, new_look(at, parts, now))
         return
-    sentence = (
-        f"the {'arm did not withdraw' if cell.monitor.has_arm else 'striker did not return'} within"
-        f" {cell.settings.withdraw_deadline:.0f} s"
-    )
-    yield from check_cell(at, ErrorCode.ARM_TIMEOUT, sentence, cell, now)
+    missing = "arm did not withdraw" if parts.monitor.has_arm else "striker did not return"
+    sentence = f"the {missing} within {parts.settings.withdraw_deadline:.0f} s"
+    yield from check_cell(at, ErrorCode.ARM_TIMEOUT, sentence, parts, now)
 
 
-HANDLERS: Mapping[type[Working], Callable[[Any, Cell, Now], Steps]] = {
+HANDLERS: Mapping[type[Working], Callable[[Any, PlannerParts, Now], Steps]] = {
     WaitingForCell: wait_for_cell,
     Looking: look,
     Confirming: wait_for_person,

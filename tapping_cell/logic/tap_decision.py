@@ -23,7 +23,7 @@ from tapping_cell.logic.planner_states import (
     failed,
 )
 from tapping_cell.logic.tap_counts import LATE
-from tapping_cell.logic.tap_steps import Cell, wait_again
+from tapping_cell.logic.tap_steps import PlannerParts, wait_again
 from tapping_cell.logic.task import Shot, Task
 from tapping_cell.messages import ConfirmTap, ErrorCode, ObjectState
 from tapping_cell.planning import Decision, Done, ObserveAgain, Refusal, RefusalReason, Strike
@@ -31,11 +31,11 @@ from tapping_cell.se2 import Pose
 
 
 def act(
-    at: Looking | Planning, decision: Decision, seen: ObjectState, cell: Cell, now: Now
+    at: Looking | Planning, decision: Decision, seen: ObjectState, parts: PlannerParts, now: Now
 ) -> Steps:
     """Carry out a decision that is based on the observation ``seen``."""
     task = at.task
-    yield from _turn_to_object(task, cell)
+    yield from _turn_to_object(task, parts)
     if isinstance(decision, Refusal):
         # If the tap is refused only because the object's pose is too uncertain, continue the
         # observation, because every further image reduces the uncertainty.
@@ -54,18 +54,18 @@ def act(
     if isinstance(decision, Done):
         yield End(State.IDLE if task.prescribed else State.REACHED)
         return
-    error = tap_counts.exhausted(task, cell.settings, cell.monitor.pose_of(task.object_id))
+    error = tap_counts.exhausted(task, parts.settings, parts.monitor.pose_of(task.object_id))
     if error is not None:
         yield failed(*error)
-    elif cell.monitor.missing(now) is not None:
-        yield from wait_again(at, cell, now)
+    elif parts.monitor.missing(now) is not None:
+        yield from wait_again(at, parts, now)
     else:
-        yield from _plan(look, decision, task.before(seen), cell, now)
+        yield from _plan(look, decision, task.before(seen), parts, now)
 
 
-def _turn_to_object(task: Task, cell: Cell) -> Steps:
+def _turn_to_object(task: Task, parts: PlannerParts) -> Steps:
     """Watch the object that is tapped now; warn about other objects that taps have moved."""
-    cell.monitor.watch(task.object_id)
+    parts.monitor.watch(task.object_id)
     names, task.touched = task.touched, []
     if names:
         yield Log(
@@ -75,13 +75,13 @@ def _turn_to_object(task: Task, cell: Cell) -> Steps:
         )
 
 
-def _plan(look: Looking, strike: Strike, before: Pose, cell: Cell, now: Now) -> Steps:
+def _plan(look: Looking, strike: Strike, before: Pose, parts: PlannerParts, now: Now) -> Steps:
     """Command or propose one tap."""
     task = look.task
     covariance = task.session.predicted_covariance(strike, before)
-    cell.monitor.begin_track()
+    parts.monitor.begin_track()
     shot = Shot(
-        cell.sender.next_id(now),
+        parts.sender.next_id(now),
         task.object_id,
         task.taps + 1,
         strike,
@@ -91,15 +91,15 @@ def _plan(look: Looking, strike: Strike, before: Pose, cell: Cell, now: Now) -> 
     )
     if strike.detour:
         yield Log(LogLevel.INFO, f"tap {shot.number}: {strike.detour}")
-    is_confirmed = not cell.confirmations.asks(task)
+    is_confirmed = not parts.confirmations.asks(task)
     if not is_confirmed:
-        is_confirmed, sentence = cell.confirmations.holds(shot, now.steady)
+        is_confirmed, sentence = parts.confirmations.holds(shot, now.steady)
         if sentence:
             yield Log(LogLevel.INFO, sentence)
     if is_confirmed:
-        yield from command(task, shot, cell, now)
+        yield from command(task, shot, parts, now)
         return
-    patience = cell.settings.confirm_deadline
+    patience = parts.settings.confirm_deadline
     yield Log(LogLevel.INFO, f"tap {shot.number} waits for confirmation (id {shot.tap_id})")
     yield Go(
         Event.TAP_PROPOSED,
@@ -125,51 +125,51 @@ def not_awaited(tap_id: int, at: Record) -> ConfirmTap.Response:
 
 
 def answered(
-    at: Confirming, is_confirmed: bool, cell: Cell, now: Now
+    at: Confirming, is_confirmed: bool, parts: PlannerParts, now: Now
 ) -> tuple[ConfirmTap.Response, Steps]:
     """Return the response to a person's answer, and what follows from the answer."""
-    shot, task, monitor = at.proposed, at.task, cell.monitor
-    cell.confirmations.forget()
+    shot, task, monitor = at.proposed, at.task, parts.monitor
+    parts.confirmations.forget()
     accepted = ConfirmTap.Response(accepted=True)
     if not is_confirmed and task.prescribed:
         rejected = failed(ErrorCode.TAP_NOT_CONFIRMED, "a person rejected the single tap")
         return accepted, iter((rejected,))
     if not is_confirmed:
         task.skip(shot.strike)
-        return accepted, drop_proposal(at, "it was skipped", cell, now)
-    missing, needed = monitor.missing(now), cell.settings.frames_needed
+        return accepted, drop_proposal(at, "it was skipped", parts, now)
+    missing, needed = monitor.missing(now), parts.settings.frames_needed
     if missing is not None:
-        steps = wait_again(at, cell, now)
+        steps = wait_again(at, parts, now)
     elif not task.observed(monitor, at.look.since, needed, now):
         missing = monitor.blind(None, needed, now)
         why = "the object has not been observed at rest in enough images"
-        steps = drop_proposal(at, why, cell, now)
+        steps = drop_proposal(at, why, parts, now)
     else:
-        cell.confirmations.confirm(shot, now.steady)
-        return accepted, command(task, shot, cell, now)
+        parts.confirmations.confirm(shot, now.steady)
+        return accepted, command(task, shot, parts, now)
     code, sentence = missing
     if code in LATE:
-        cell.confirmations.confirm(shot, now.steady)
+        parts.confirmations.confirm(shot, now.steady)
         return accepted, steps
     again = f"tap {shot.number} is planned again: {sentence}"
     return ConfirmTap.Response(error_code=code, error_msg=again), steps
 
 
-def drop_proposal(at: Confirming, why: str, cell: Cell, now: Now) -> Steps:
+def drop_proposal(at: Confirming, why: str, parts: PlannerParts, now: Now) -> Steps:
     """Drop the proposed tap, observe the object again and plan another tap."""
     shot = at.proposed
     yield Log(LogLevel.INFO, f"tap {shot.number} (id {shot.tap_id}) is planned again: {why}")
-    deadline = now.steady + cell.settings.observe_deadline
+    deadline = now.steady + parts.settings.observe_deadline
     yield Go(Event.TAP_DROPPED, replace(at.look, since=now.steady, deadline=deadline))
 
 
-def command(task: Task, shot: Shot, cell: Cell, now: Now) -> Steps:
+def command(task: Task, shot: Shot, parts: PlannerParts, now: Now) -> Steps:
     """Command one tap."""
-    settings = cell.settings
-    yield from cell.resumption.keep(task, True, now)  # first, so that no crash loses the tap
+    settings = parts.settings
+    yield from parts.resumption.keep(task, True, now)  # first, so that no crash loses the tap
     allowance = settings.place_deadline + settings.fire_deadline
-    yield cell.sender.tap(shot, allowance, cell.goals.cell.strike_height, now)
-    if cell.monitor.has_arm:
+    yield parts.sender.tap(shot, allowance, parts.goals.cell.strike_height, now)
+    if parts.monitor.has_arm:
         deadline = now.steady + settings.place_deadline
         yield Go(Event.TAP_COMMANDED, Placing(task=task, deadline=deadline, shot=shot))
     else:

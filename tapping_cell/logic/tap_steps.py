@@ -51,7 +51,7 @@ arm moves aside, because the arm may hide the object."""
 
 
 @dataclass(frozen=True, slots=True)
-class Cell:
+class PlannerParts:
     """What the planner's parts beside the cycle offer to it."""
 
     settings: PlannerSettings
@@ -64,11 +64,11 @@ class Cell:
     """Numbers of the jobs."""
 
 
-def new_look(at: WaitingForCell | Settling, cell: Cell, now: Now) -> Looking:
+def new_look(at: WaitingForCell | Settling, parts: PlannerParts, now: Now) -> Looking:
     """Return a new observation."""
     return Looking(
         task=at.task,
-        deadline=now.steady + cell.settings.observe_deadline,
+        deadline=now.steady + parts.settings.observe_deadline,
         shot=at.shot,
         moved_aside=at.moved_aside,
         since=now.steady,
@@ -76,45 +76,45 @@ def new_look(at: WaitingForCell | Settling, cell: Cell, now: Now) -> Looking:
     )
 
 
-def postpone(at: Looking, cell: Cell, now: Now) -> Go:
+def postpone(at: Looking, parts: PlannerParts, now: Now) -> Go:
     """Postpone the deadline of the observation while a solver still computes the solution for the
     goal. The goal's time limit still applies."""
-    return Go(None, replace(at, deadline=now.steady + cell.settings.observe_deadline))
+    return Go(None, replace(at, deadline=now.steady + parts.settings.observe_deadline))
 
 
-def not_observed(at: Looking, cell: Cell, now: Now) -> Steps:
+def not_observed(at: Looking, parts: PlannerParts, now: Now) -> Steps:
     """Continue or end an observation without a usable image."""
-    settings, monitor = cell.settings, cell.monitor
+    settings, monitor = parts.settings, parts.monitor
     if monitor.silent("object", now):
         # The camera's node may be restarting, so wait until the cell is ready again.
-        yield from wait_again(at, cell, now)
+        yield from wait_again(at, parts, now)
         return
     unseen = min(now.steady - at.since, monitor.unseen_for(now))
     if monitor.has_arm and not at.moved_aside and unseen > HIDDEN_S:
-        yield from _move_arm_aside(at, cell, now)
+        yield from _move_arm_aside(at, parts, now)
     elif at.is_late(now.steady):
         needed, waited = settings.frames_needed, settings.observe_deadline
         yield failed(*monitor.blind(waited, needed, now, at.moved_aside))
 
 
-def _move_arm_aside(at: Looking, cell: Cell, now: Now) -> Steps:
+def _move_arm_aside(at: Looking, parts: PlannerParts, now: Now) -> Steps:
     """Move the arm, because the arm may hide the object. First move the arm to its park pose.
     If the object is still not seen, move the arm to a pose that uncovers the area that the arm
     hides."""
-    is_last = not cell.sender.may_park
+    is_last = not parts.sender.may_park
     if is_last:
         yield Log(
             LogLevel.WARNING,
             "the object is not seen; moving the arm aside in case it hides the object",
         )
-        yield cell.sender.clear_view(now)
+        yield parts.sender.clear_view(now)
     else:
-        yield from cell.sender.park(now)
+        yield from parts.sender.park(now)
     yield Go(
         Event.HIDDEN,
         Settling(
             task=at.task,
-            deadline=now.steady + cell.settings.withdraw_deadline,
+            deadline=now.steady + parts.settings.withdraw_deadline,
             shot=at.shot,
             moved_aside=is_last,
             struck_at=at.struck_at,
@@ -123,98 +123,98 @@ def _move_arm_aside(at: Looking, cell: Cell, now: Now) -> Steps:
     )
 
 
-def take_in(task: Task, shot: Shot, seen: ObjectState, cell: Cell) -> Steps:
+def take_in(task: Task, shot: Shot, seen: ObjectState, parts: PlannerParts) -> Steps:
     """Record and learn from a tap that was fired or may have been fired."""
-    cell.confirmations.forget()
-    task.take_in(shot, seen, cell.monitor.track(seen))
+    parts.confirmations.forget()
+    task.take_in(shot, seen, parts.monitor.track(seen))
     warning = task.session.edge_warning(from_message(seen.pose.pose))
     if warning:
         yield Log(LogLevel.WARNING, warning)
 
 
-def try_another_way(at: Placing, code: int, sentence: str, cell: Cell, now: Now) -> Steps:
+def try_another_way(at: Placing, code: int, sentence: str, parts: PlannerParts, now: Now) -> Steps:
     """Plan a tap from another direction, because the present tap is out of the arm's reach."""
     task, shot = at.task, at.shot
     task.skip(shot.strike)
-    cell.confirmations.withdraw(sentence)
+    parts.confirmations.withdraw(sentence)
     # The arm will not be in position for this tap, so the tapper cannot fire it.
     shot.outcome = shot.outcome or TapperState.NOT_FIRED
-    if tap_counts.exhausts(task, shot, cell.settings, is_late=False):
+    if tap_counts.exhausts(task, shot, parts.settings, is_late=False):
         yield failed(code, sentence)
         return
     yield Log(LogLevel.WARNING, f"tap {shot.number}: {sentence}; planning another tap")
-    yield from give_up(at, TapperState.NOT_FIRED, cell, now)
+    yield from give_up(at, TapperState.NOT_FIRED, parts, now)
 
 
-def take_outcome(at: Placing | Firing, cell: Cell, now: Now) -> Steps:
+def take_outcome(at: Placing | Firing, parts: PlannerParts, now: Now) -> Steps:
     """Process the outcome that the tapper reported."""
     task, shot = at.task, at.shot
-    tapper = cell.monitor.tapper_of(shot.tap_id)
+    tapper = parts.monitor.tapper_of(shot.tap_id)
     assert tapper is not None
-    was_withdrawn = cell.sender.is_withdrawn(shot)
-    yield from cell.sender.withdraw(shot.tap_id, now)
+    was_withdrawn = parts.sender.is_withdrawn(shot)
+    yield from parts.sender.withdraw(shot.tap_id, now)
     if shot.outcome == TapperState.NOT_FIRED and was_withdrawn and not tapper.error_code:
         yield Log(LogLevel.WARNING, MOVED_BEFORE_TAP)
     elif shot.outcome == TapperState.NOT_FIRED:
         code, sentence = tapper.error_code, tapper.error_msg
         if not code:
             code, sentence = WITHDRAWN_BY_ANOTHER
-            cell.confirmations.withdraw(sentence)
+            parts.confirmations.withdraw(sentence)
         yield Log(LogLevel.WARNING, f"tap not fired: {sentence}")
-        if cell.monitor.has_arm and code == ErrorCode.OBJECT_NOT_SEEN:
+        if parts.monitor.has_arm and code == ErrorCode.OBJECT_NOT_SEEN:
             # On its way to this strike pose, the arm itself may hide the object, so choose another
             # tap.
             task.skip(shot.strike)
         is_late = tapper.error_code in LATE
-        if tap_counts.exhausts(task, shot, cell.settings, is_late=is_late):
+        if tap_counts.exhausts(task, shot, parts.settings, is_late=is_late):
             yield failed(code, sentence)
             return
     else:
         task.not_fired = task.late = 0
-    yield Go(Event.OUTCOME_REPORTED, _settle(at, cell, now))
+    yield Go(Event.OUTCOME_REPORTED, _settle(at, parts, now))
 
 
-def give_up(at: Placing | Firing, outcome: int, cell: Cell, now: Now) -> Steps:
+def give_up(at: Placing | Firing, outcome: int, parts: PlannerParts, now: Now) -> Steps:
     """Give up the tap under way and have the arm withdraw. ``outcome``: outcome of the tap unless
     the tapper reports it."""
     at.shot.outcome = at.shot.outcome or outcome
-    yield from cell.sender.withdraw(at.shot.tap_id, now)
-    yield Go(Event.GIVEN_UP, replace(_settle(at, cell, now), struck_at=math.inf))
+    yield from parts.sender.withdraw(at.shot.tap_id, now)
+    yield Go(Event.GIVEN_UP, replace(_settle(at, parts, now), struck_at=math.inf))
 
 
-def _settle(at: Placing | Firing, cell: Cell, now: Now) -> Settling:
+def _settle(at: Placing | Firing, parts: PlannerParts, now: Now) -> Settling:
     """Return the wait for the withdrawal after a tap."""
     shot = at.shot
-    is_struck = not cell.monitor.has_arm and shot.outcome == TapperState.FIRED
+    is_struck = not parts.monitor.has_arm and shot.outcome == TapperState.FIRED
     return Settling(
         task=at.task,
-        deadline=now.steady + cell.settings.withdraw_deadline,
+        deadline=now.steady + parts.settings.withdraw_deadline,
         shot=shot,
         struck_at=now.steady + shot.strike.plan.flight if is_struck else math.inf,
     )
 
 
-def check_cell(at: Working, code: int, sentence: str, cell: Cell, now: Now) -> Steps:
+def check_cell(at: Working, code: int, sentence: str, parts: PlannerParts, now: Now) -> Steps:
     """End a wait for arm or tapper if the connection to a driver is lost, if the arm has lost its
     reference, or if the deadline has passed."""
-    if cell.monitor.lost(now):
-        yield from wait_again(at, cell, now)
-    elif (unhomed := cell.monitor.unhomed()) is not None:
+    if parts.monitor.lost(now):
+        yield from wait_again(at, parts, now)
+    elif (unhomed := parts.monitor.unhomed()) is not None:
         yield failed(*unhomed)
     elif at.is_late(now.steady):
-        device = "arm" if cell.monitor.has_arm else "tapper"
+        device = "arm" if parts.monitor.has_arm else "tapper"
         yield failed(code, f"{sentence}; check the {device}, then send the goal again")
 
 
-def wait_again(at: Working, cell: Cell, now: Now) -> Steps:
+def wait_again(at: Working, parts: PlannerParts, now: Now) -> Steps:
     """End the tap and wait until the cell is ready again."""
-    yield from end_tap(at, cell.sender, now)
+    yield from end_tap(at, parts.sender, now)
     before = at.look if isinstance(at, Planning | Confirming) else at
     yield Go(
         Event.CELL_NOT_READY,
         WaitingForCell(
             task=at.task,
-            deadline=now.steady + cell.settings.ready_deadline,
+            deadline=now.steady + parts.settings.ready_deadline,
             shot=shot_of(before),
             moved_aside=isinstance(before, BetweenTaps) and before.moved_aside,
         ),
@@ -228,23 +228,23 @@ def end_tap(at: Record, sender: TapSender, now: Now) -> Iterator[Effect]:
         at.shot.outcome = at.shot.outcome or TapperState.UNKNOWN
 
 
-def moved_limits(cell: Cell) -> tuple[float, float]:
+def moved_limits(parts: PlannerParts) -> tuple[float, float]:
     """Distance (m) and angle (rad) beyond which an object counts as moved."""
-    return cell.settings.moved_limit, cell.settings.turned_limit
+    return parts.settings.moved_limit, parts.settings.turned_limit
 
 
-def disturbed(task: Task, shot: Shot, cell: Cell, now: Now) -> bool:
+def disturbed(task: Task, shot: Shot, parts: PlannerParts, now: Now) -> bool:
     """Return whether the present object or another object was moved since the tap was planned."""
-    limits = moved_limits(cell)
-    if cell.monitor.seen_away_from(shot.before, *limits):
+    limits = moved_limits(parts)
+    if parts.monitor.seen_away_from(shot.before, *limits):
         return True
     if isinstance(task, ArrangementTask):
-        return task.others_moved(cell.monitor, *limits) or obstacles_changed(task, cell)
-    return cell.goals.others_moved(now)
+        return task.others_moved(parts.monitor, *limits) or obstacles_changed(task, parts)
+    return parts.goals.others_moved(now)
 
 
-def obstacles_changed(task: Task, cell: Cell) -> bool:
+def obstacles_changed(task: Task, parts: PlannerParts) -> bool:
     """Return whether the areas of unknown objects differ from those of the last decision."""
     if not isinstance(task, ArrangementTask):
         return False
-    return task.obstacles != cell.goals.other_objects.unknown
+    return task.obstacles != parts.goals.other_objects.unknown

@@ -5,7 +5,8 @@
 
 A reader must refuse a damaged file in one sentence, or read the values that an independent reader
 finds in it: ruamel.yaml, minidom, Pillow, rosbags, or for tables the numbers from which
-they were written. ``test/pure/configuration/test_file_readers.py`` checks the same with fewer files.
+they were written. ``test/pure/configuration/test_file_readers.py`` checks the same with fewer
+files.
 """
 
 from __future__ import annotations
