@@ -14,6 +14,7 @@ from launch_ros.actions import Node
 from launch import LaunchContext, LaunchDescription
 from launch.actions import DeclareLaunchArgument, LogInfo, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
+from tapping_cell.cli.graph import IMAGES_DELAY_S
 from tapping_cell.cli.supervision import MAX_RESTARTS
 from tapping_cell.configuration.cell import (
     Cell,
@@ -142,7 +143,7 @@ def _start(
             remappings=_own_frames(given),
             output="screen",
             respawn=node.respawn,
-            respawn_delay=1.0,
+            respawn_delay=IMAGES_DELAY_S,
             # The number of restarts is limited, because a node with an invalid configuration ends
             # again after each restart.
             respawn_max_retries=MAX_RESTARTS,

@@ -33,6 +33,14 @@ RECORDER = "run_recorder"
 """Recorder of every goal. If the recorder ends, the graph continues, because the cell works without
 it."""
 
+IMAGES = ("sim_world", "overhead_camera", "camera_pose", RECORDER, "operator_page")
+"""Nodes that exchange images through shared memory."""
+IMAGES_DELAY_S = 5.0
+"""Time in s between the end of one of these nodes and its restart. It exceeds ``leaseDuration`` of
+the Fast DDS profiles. Until then, the other nodes send to the port of the killed process in shared
+memory, and so delete and create this port for every image. If its successor opened the port
+meanwhile, they could delete it again: the successor would never receive an image."""
+
 TIMEOUT_S = 5.0
 """Time for a node to exit before it is killed."""
 

@@ -5,14 +5,21 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass
 
-from tapping_cell.cli.graph import RECORDER, Ended, Graph, NodeDied
+from tapping_cell.cli.graph import (
+    IMAGES,
+    IMAGES_DELAY_S,
+    RECORDER,
+    Ended,
+    Graph,
+    NodeDied,
+)
 from tapping_cell.nodes.service_manager import Notifications
 
 MAX_RESTARTS = 3
 WINDOW_S = 120.0
 """Time window in s. A node that ends for the fourth time within this window is not restarted."""
 DELAY_S = 1.0
-"""Delay in s between the end of a node and its restart."""
+"""Delay in s between the end of a node and its restart, except for the nodes in ``IMAGES``."""
 HUNG_S = 20.0
 """Time in s without a report of a node's loop, after which the node is killed and restarted. A node
 reports every second."""
@@ -93,7 +100,7 @@ class Supervisor:
             recent.popleft()
         if len(recent) < MAX_RESTARTS and not ended.refused:
             recent.append(now)
-            self._due[ended.name] = now + DELAY_S
+            self._due[ended.name] = now + (IMAGES_DELAY_S if ended.name in IMAGES else DELAY_S)
             return Incident(
                 ended.name,
                 f"{sentence}; it is restarted (restart {len(recent)} of at most"

@@ -311,7 +311,8 @@ class CellMonitor:
         return (
             ErrorCode.CLOCKS_DIFFER,
             f"the local clock differs by {skew:+.2f} s from that of the computer of"
-            f" {NAMES[name]} (limit {SKEW_LIMIT_S:.2f} s); synchronise the computers' clocks",
+            f" {NAMES[name]} (limit {SKEW_LIMIT_S:.2f} s), or its messages are delayed that much;"
+            " synchronise the computers' clocks",
         )
 
     def _arm_missing(self, arm: ArmState | None, now: Now) -> CodedError | None:

@@ -8,12 +8,15 @@ from xml.etree import ElementTree
 
 import pytest
 
+from tapping_cell.cli.graph import IMAGES
 from tapping_cell.nodes.camera.camera_pose import CameraPose
 from tapping_cell.nodes.camera.overhead_camera import OverheadCamera
 from tapping_cell.nodes.cell_node import PROFILE_VARIABLE, choose_transport
 from tapping_cell.nodes.drivers.scara_arm import ScaraArm
 from tapping_cell.nodes.drivers.tapper_trigger import TapperTrigger
+from tapping_cell.nodes.page.operator_page import OperatorPage
 from tapping_cell.nodes.planner.tap_planner import TapPlanner
+from tapping_cell.nodes.recorder.run_recorder import RunRecorder
 from tapping_cell.nodes.simulation.sim_world import SimWorld
 
 
@@ -31,6 +34,8 @@ def transports(path: str) -> set[str]:
         (CameraPose, {"SHM", "UDPv4"}),
         (OverheadCamera, {"SHM", "UDPv4"}),
         (SimWorld, {"SHM", "UDPv4"}),
+        (OperatorPage, {"SHM", "UDPv4"}),
+        (RunRecorder, {"SHM", "UDPv4"}),
     ],
 )
 @pytest.mark.parametrize("before", ["", "/elsewhere/config/fastdds_profile.xml"])
@@ -40,6 +45,8 @@ def test_each_node_uses_the_transport_profile_for_its_messages(
     monkeypatch.setenv(PROFILE_VARIABLE, before)
     choose_transport(node.carries_pictures)  # type: ignore[attr-defined]
     assert transports(os.environ[PROFILE_VARIABLE]) == expected
+    name = node.__module__.rpartition(".")[2]
+    assert (name in IMAGES) == ("SHM" in expected)
 
 
 def test_a_user_defined_profile_is_not_changed(

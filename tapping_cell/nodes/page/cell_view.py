@@ -276,7 +276,9 @@ class CellView:
         fault = self._monitor.fault()
         if fault is not None:
             return Mode("fault", fault[1], fault[0])
-        if self.busy:
+        silence = time.monotonic() - self._plan_received
+        planner_silent = self._plan is None or silence > 2 * SILENCE_LIMIT_S
+        if self.busy and not planner_silent:
             assert self._plan is not None
             if self._plan.state == PlanState.CONFIRMING:
                 return Mode("waiting", f"{self._tap_words()} waits for your confirmation")
@@ -294,7 +296,7 @@ class CellView:
         seen = self._monitor.object
         if seen is not None and seen.error_code:
             return Mode("not ready", seen.error_msg, seen.error_code)
-        if self._plan is None or time.monotonic() - self._plan_received > 2 * SILENCE_LIMIT_S:
+        if planner_silent:
             return Mode("not ready", "the planner sends no messages; start tap_planner")
         return Mode("ready", "the cell accepts goals")
 

@@ -7,13 +7,15 @@ import os
 import socket
 import tempfile
 from pathlib import Path
+from xml.etree import ElementTree
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tapping_cell.cli.graph import Ended, NodeDied, last_output
+from tapping_cell.cli.graph import IMAGES, IMAGES_DELAY_S, Ended, NodeDied, last_output
 from tapping_cell.cli.supervision import DELAY_S, HUNG_S, MAX_RESTARTS, WINDOW_S, Supervisor
+from tapping_cell.configuration.files import shared_folder
 from tapping_cell.nodes import service_manager
 from tapping_cell.nodes.service_manager import ALIVE, SOCKET_VARIABLE, Notifications, notify
 
@@ -40,15 +42,23 @@ class FakeGraph:
         self.down[name] = Ended(name, status, words)
 
 
-@pytest.mark.parametrize("name", ["operator_page", "run_recorder", "tap_planner", "scara_arm"])
+@pytest.mark.parametrize("name", ["camera_pose", "run_recorder", "tap_planner", "scara_arm"])
 def test_a_killed_node_is_named_and_restarted(name: str) -> None:
     graph = FakeGraph()
     supervisor = Supervisor(graph)  # type: ignore[arg-type]
     graph.end(name)
     (incident,) = supervisor.check(10.0)
     assert incident.node == name and "SIGKILL" in incident.sentence
-    assert not supervisor.check(10.0 + DELAY_S / 2) and not graph.started
-    assert not supervisor.check(10.0 + DELAY_S) and graph.started == [name]
+    delay = IMAGES_DELAY_S if name in IMAGES else DELAY_S
+    assert not supervisor.check(10.0 + 0.9 * delay) and not graph.started
+    assert not supervisor.check(10.0 + delay) and graph.started == [name]
+
+
+@pytest.mark.parametrize("profile", ["fastdds_profile.xml", "fastdds_messages.xml"])
+def test_a_node_with_images_is_restarted_after_the_others_have_forgotten_it(profile: str) -> None:
+    space = "{http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles}"
+    (lease,) = ElementTree.parse(shared_folder() / profile).iter(f"{space}leaseDuration")
+    assert float(lease.findtext(f"{space}sec", "")) < IMAGES_DELAY_S
 
 
 @pytest.mark.parametrize(("name", "ends"), [("operator_page", False), ("tapper_trigger", True)])
@@ -58,7 +68,7 @@ def test_a_node_that_ends_repeatedly_is_restarted_a_limited_number_of_times(name
     for _ in range(MAX_RESTARTS):
         graph.end(name)
         supervisor.check(now)
-        now += DELAY_S
+        now += IMAGES_DELAY_S
         supervisor.check(now)
     graph.end(name)
     if ends:
