@@ -15,7 +15,8 @@ import json
 import re
 import types
 import typing
-from collections.abc import Callable, Iterator, Mapping
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from enum import Enum
 from pathlib import Path
 from typing import Any
@@ -44,13 +45,15 @@ from tapping_cell.report.tables import (
 )
 from tapping_cell.simulation.truth import TruthFile
 
+SHARED_BY = 3
+"""Number of verbs with the same option from which the page lists it once."""
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 _HEAD = """# Commands
 
-`python -m tapping_cell VERB`, or `ros2 run tapping_cell cell VERB`. This page lists each verb with
-an example and its options; `VERB --help` explains the options and gives their defaults. On the
-command line, lengths are in mm and angles in degrees. With `--json`, a verb prints its results as
-JSON on standard output, and its messages and progress on standard error.
+`python -m tapping_cell VERB`, or `ros2 run tapping_cell cell VERB`. Every verb has `--help` with an
+example. On the command line, lengths are in mm and angles in degrees. With `--json`, a verb prints
+its results as JSON on standard output and its messages on standard error. A command that
+takes long shows its progress there.
 
 The Tab key completes verbs and options after the command
 
@@ -72,6 +75,11 @@ To operate a running cell, the command `ros2` is not needed: [status](#status), 
 does, in the ROS domain of `ROS_DOMAIN_ID`.
 
 `make reference` writes this page.
+
+## Shared options
+
+Several verbs have these options:
+
 """
 _ERROR_CODES = """# Error codes
 
@@ -97,12 +105,14 @@ _HUNDREDS = {
 def commands_page() -> str:
     """Return the page on all verbs and options, generated from the parsers."""
     statuses = (f"| {status.value} | {MEANINGS[status]} |\n" for status in ExitStatus)
-    parts = [_HEAD, *statuses, _AFTER_STATUSES]
+    parsers = {verb: verb_parser(verb)[0] for verb in VERBS}
+    counts = Counter(row for parser in parsers.values() for row in _all_rows(parser))
+    shared = _shared(counts)
+    parts = [_HEAD, *statuses, _AFTER_STATUSES, *_option_rows(shared)]
     for verb, text in VERBS.items():
         parts.append(f"\n## `{verb}`\n\n{text[0].upper()}{text[1:]}.\n")
-        parser = verb_parser(verb)[0]
-        parts += [f"\n    {line}\n" for line in examples(parser)[:1]]
-        parts += _options(parser)
+        parts += [f"\n    {line}\n" for line in examples(parsers[verb])[:1]]
+        parts += _tables(parsers[verb], shared)
     return "".join(parts)
 
 
@@ -113,29 +123,74 @@ def examples(parser: argparse.ArgumentParser) -> list[str]:
     return [line.strip() for line in lines if line.strip().startswith("python -m tapping_cell ")]
 
 
+def _shared(counts: Counter[tuple[str, str]]) -> list[tuple[str, str]]:
+    """Return the options that several verbs share; if one has several texts, the most frequent."""
+    frequent: dict[str, tuple[str, str]] = {}
+    for row, count in counts.most_common():
+        if count >= SHARED_BY:
+            frequent.setdefault(row[0].split(" ")[0], row)
+    return sorted(frequent.values())
+
+
+def _option_rows(rows: Iterable[tuple[str, str]]) -> Iterator[str]:
+    yield from (f"- {name}: {text}\n" for name, text in rows)
+
+
+def _all_rows(parser: argparse.ArgumentParser) -> Iterator[tuple[str, str]]:
+    """Yield name and text of each option of a verb and of its subcommands."""
+    yield from _rows(parser)
+    for _, own in _subcommands(parser):
+        yield from _all_rows(own)
+
+
+def _rows(parser: argparse.ArgumentParser) -> Iterator[tuple[str, str]]:
+    for action in parser._actions:
+        if not isinstance(action, (argparse._SubParsersAction, argparse._HelpAction)):
+            yield _name(action), _text(action.help) + _default(action)
+
+
 def _subcommands(parser: argparse.ArgumentParser) -> Iterator[tuple[str, argparse.ArgumentParser]]:
     for action in parser._actions:
         if isinstance(action, argparse._SubParsersAction):
             yield from action.choices.items()
 
 
-def _options(parser: argparse.ArgumentParser) -> Iterator[str]:
-    """Yield the arguments of a verb in one line, then those of its subcommands."""
-    skipped = (argparse._SubParsersAction, argparse._HelpAction)
-    own = [_name(action) for action in parser._actions if not isinstance(action, skipped)]
+def _tables(parser: argparse.ArgumentParser, shared: list[tuple[str, str]]) -> Iterator[str]:
+    rows = list(_rows(parser))
+    own = [row for row in rows if row not in shared]
     if own:
-        yield f"\n{', '.join(own)}\n"
+        yield "\n"
+        yield from _option_rows(own)
+    if len(own) < len(rows):
+        names = ", ".join(name.split(" ")[0] for name, text in rows if (name, text) in shared)
+        yield f"\n[Shared options](#shared-options): {names}\n"
     for name, inner in _subcommands(parser):
         yield f"\n### `{parser.prog.rsplit(' ', 1)[-1]} {name}`\n"
-        yield from _options(inner)
+        yield from _tables(inner, shared)
 
 
 def _name(action: argparse.Action) -> str:
+    names = ", ".join(f"`{name}`" for name in action.option_strings)
     metavar = action.metavar or ("" if action.nargs == 0 else action.dest.upper().replace("_", "-"))
     if action.choices is not None and action.metavar is None:
-        metavar = "|".join(str(choice) for choice in action.choices)
+        metavar = ", ".join(str(choice) for choice in action.choices)
     values = " ".join(metavar) if isinstance(metavar, tuple) else metavar
-    return f"`{' '.join([*action.option_strings[:1], values]).strip()}`"
+    return f"{names} {values}".strip() if names else f"`{values}`"
+
+
+def _default(action: argparse.Action) -> str:
+    """Return the default in brackets, unless the option's text gives it."""
+    value = action.default
+    if value in (None, False, "", [], argparse.SUPPRESS) or not action.option_strings:
+        return ""
+    if "default: " in (action.help or ""):
+        return ""
+    shown = " ".join(map(str, value)) if isinstance(value, (tuple, list)) else str(value)
+    return f" (default: {shown})"
+
+
+def _text(words: str | None) -> str:
+    return (words or "").replace("%%", "%")
 
 
 def options_file() -> str:
