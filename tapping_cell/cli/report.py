@@ -73,7 +73,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the verb. Return 0 if all runs were reported, 1 if some are unreadable, 2 if all are."""
-    console = Console(stderr=arguments.json)
+    console = Console(stderr=arguments.json, soft_wrap=True)
     if arguments.video is not None:
         return _video(arguments.runs, arguments.video, console)
     reports: list[tuple[Run, Path]] = []

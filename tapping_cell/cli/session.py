@@ -45,7 +45,7 @@ def add_output_arguments(parser: argparse.ArgumentParser) -> None:
 
 def console_of(arguments: argparse.Namespace) -> Console:
     """Return the console for messages: stderr with --json, no output with --quiet."""
-    return Console(stderr=arguments.json, quiet=arguments.quiet)
+    return Console(stderr=arguments.json, quiet=arguments.quiet, soft_wrap=True)
 
 
 def pose_text(pose: Pose) -> str:

@@ -107,15 +107,16 @@ def read_tolerance(
     position: float, angle: float, default: tuple[float, float]
 ) -> tuple[float, float] | Refused:
     """Return the tolerance of an action goal in m and rad; 0 means the cell's default."""
-    for name, value, largest, unit in (
-        ("position", position, LARGEST_POSITION_TOLERANCE, "m"),
-        ("angle", angle, LARGEST_ANGLE_TOLERANCE, "rad"),
+    for name, value, largest, scale, unit in (
+        ("position", position, LARGEST_POSITION_TOLERANCE, 1e3, "mm"),
+        ("angle", angle, LARGEST_ANGLE_TOLERANCE, math.degrees(1.0), "deg"),
     ):
         if value != 0 and not MIN_TOLERANCE <= value <= largest:  # also refuses NaN
             return Refused(
                 ErrorCode.GOAL_BAD_TOLERANCE,
-                f"the {name} tolerance is {value:g} {unit}; it must be at least {MIN_TOLERANCE:g} "
-                f"{unit} and at most {largest:g} {unit}, or 0 for the cell's tolerance",
+                f"the {name} tolerance is {scale * value:.3g} {unit}; it must be at least "
+                f"{scale * MIN_TOLERANCE:.3g} {unit} and at most {scale * largest:.3g} {unit}, "
+                "or 0 for the cell's tolerance",
             )
     return position or default[0], angle or default[1]
 

@@ -129,7 +129,7 @@ class Plan:
         for index in range(math.ceil(low[0] / step), math.floor(self.high[0] / step) + 1):
             x = step * index
             self.polygon([(x, low[1]), (x, low[1] + mark)], line, closed=False)
-            if low[0] + 6 * self.unit < x < self.high[0] - 6 * self.unit:
+            if low[0] + 6 * self.unit < x < self.high[0] - 9 * self.unit:
                 self.text(x, low[1] + 2.6 * self.unit, f"{x:g}", MUTED, 2.0)
         for index in range(math.ceil(low[1] / step), math.floor(self.high[1] / step) + 1):
             y = step * index

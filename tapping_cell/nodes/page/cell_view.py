@@ -25,6 +25,7 @@ from tapping_cell.logic.cell_monitor import CellMonitor
 from tapping_cell.logic.clock import Now
 from tapping_cell.logic.goal_watch import FINAL_STATES
 from tapping_cell.logic.poses import covariance_from_message
+from tapping_cell.logic.stops import TOPIC
 from tapping_cell.nodes.conversions import from_message, seconds
 from tapping_cell.nodes.page.recovery import Recovery, Step
 from tapping_cell.planning.prescribed import METHOD as PRESCRIBED
@@ -340,8 +341,9 @@ class CellView:
         return None if state is None or self._monitor.silent(who, _now()) else state
 
     def _recovery_steps(self) -> list[Step]:
-        holders = ["this page's STOP"] if self.held_by_page else []
-        holders += sorted({source for sources in self.stops.values() for source in sources})
+        holders = sorted({source for sources in self.stops.values() for source in sources})
+        if self.held_by_page:  # the devices report it as the topic, too
+            holders = ["this page's STOP", *(each for each in holders if each != TOPIC)]
         arm, tapper = self._recent("arm"), self._recent("tapper")
         return self.recovery.steps(
             arm, tapper, holders, self.simulated, self.has_arm, time.monotonic()

@@ -75,7 +75,7 @@ class Recovery:
                 if tapper_halted and left > 0:
                     text = f"The clear button was pressed: clear the faults within {left} s."
                 steps.append(Step(text, pressed, button))
-            held = f" Stops: {', '.join(holders)}." if holders else ""
+            held = f" Stopped by: {', '.join(holders)}." if holders else ""
             steps.append(Step(f"Clear the stop and the faults.{held}", present, "clear"))
         if not has_arm:
             return steps

@@ -215,9 +215,9 @@ def test_tolerances_are_the_defaults_of_the_cell_or_valid_values(position, angle
 @pytest.mark.parametrize(
     ("position", "angle", "words"),
     [
-        (0.2, 0.0, ("position tolerance is 0.2 m", "at most 0.1 m")),
-        (0.0, math.pi, ("angle tolerance is 3.14159 rad", "at most 1.5 rad")),
-        (1e-5, 0.0, ("position tolerance is 1e-05 m", "5e-05 m")),
+        (0.2, 0.0, ("position tolerance is 200 mm", "at most 100 mm")),
+        (0.0, math.pi, ("angle tolerance is 180 deg", "at most 85.9 deg")),
+        (1e-5, 0.0, ("position tolerance is 0.01 mm", "0.05 mm")),
     ],
 )
 def test_a_tolerance_out_of_range_is_refused_with_its_limits(position, angle, words):

@@ -34,7 +34,7 @@ function renderPlot(taps, tolerance) {
   }
   const step = Math.ceil(last / 10);
   for (let tap = 0; tap <= last; tap += step) parts.push(drawn("text", { x: x(tap), y: bottom + 14, "text-anchor": "middle" }, tap ? `${tap}` : "start"));
-  parts.push(drawn("text", { x: left + 4, y: y(tolerance) - 4 }, `tolerance ${tolerance} mm`));
+  parts.push(drawn("text", { x: left + 4, y: y(tolerance) + 13 }, `tolerance ${tolerance} mm`));
   parts.push(drawn("polyline", { points: points.map(([tap, mm]) => `${x(tap).toFixed(1)},${y(mm).toFixed(1)}`).join(" ") }));
   for (const [tap, mm] of points) parts.push(drawn("circle", { cx: x(tap), cy: y(mm), r: 3.5 }));
   plot.replaceChildren(...parts);

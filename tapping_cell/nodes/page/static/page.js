@@ -325,9 +325,9 @@ function renderGoal() {
   setText($("goal-blocked"), blocked);
   $("to-go").hidden = !plan.goal;
   if (plan.goal) {
-    // While the arm hides the object, the last known distance stays, so that the card keeps its size.
+    // While the arm hides the object, the last known distance stays; a goal that ended has no stale one.
     const key = JSON.stringify([plan.object, plan.goal]);
-    if (plan.distance !== null || toGo.key !== key) toGo = { key, distance: plan.distance, rotation: plan.rotation };
+    if (plan.distance !== null || !plan.busy || toGo.key !== key) toGo = { key, distance: plan.distance, rotation: plan.rotation };
     setText($("to-go-distance"), toGo.distance === null ? "\u2013" : toGo.distance.toFixed(toGo.distance < 100 ? 1 : 0) + " mm");
     setText($("to-go-rotation"), toGo.distance === null ? "\u2013" : signed(toGo.rotation, 1, "\u00b0"));
     setText($("to-go-taps"), String(plan.taps));
