@@ -37,9 +37,8 @@ from tapping_cell.configuration.objects import GRAVITY, ObjectFile
 from tapping_cell.configuration.provenance import Provenance
 from tapping_cell.mechanics import Sliding
 from tapping_cell.mechanics.planar import cross, to_left
-from tapping_cell.mechanics.slide_track import PRIOR_DECAY, decay_of
+from tapping_cell.mechanics.slide_track import PRIOR_DECAY, SLIDE_MODEL, decay_of
 from tapping_cell.mechanics.tap import line_of_action
-from tapping_cell.planning.gains import SLIDE_MODEL
 from tapping_cell.se2 import Array, wrap_angle
 
 FEWEST_TAPS = 5
