@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from tapping_cell.calibration.learnt_object import learn_object
+from tapping_cell.calibration.learnt_object import LearntObject, learn_object
 from tapping_cell.calibration.new_object import new_object
 from tapping_cell.configuration.assembly import make_planner_settings
 from tapping_cell.configuration.cell import load_cell
@@ -99,13 +99,11 @@ def drawn_object(seed: int) -> tuple[ObjectFile, ObjectFile]:
     return true, begun
 
 
-def learnt_file(true: ObjectFile, begun: ObjectFile, seed: int) -> ObjectFile:
-    """Return the file that was learnt from nine goals, starting with the initial file ``begun``."""
+def learnt_from_goals(true: ObjectFile, begun: ObjectFile, seed: int) -> LearntObject:
+    """Return what was learnt from nine goals, starting with the initial file ``begun``."""
     evaluation, world = _evaluation(true, begun, GOALS)
     evaluate(evaluation, seed)
-    return learn_object(
-        begun, np.concatenate(world.commanded), np.concatenate(world.measured)
-    ).content
+    return learn_object(begun, np.concatenate(world.commanded), np.concatenate(world.measured))
 
 
 def _evaluation(true: ObjectFile, assumed: ObjectFile, goals: int) -> tuple[Evaluation, Recorded]:
@@ -131,14 +129,22 @@ def measure(count: int) -> dict[str, Any]:
     report: dict[str, Any] = {}
     for seed in range(OBJECTS):
         true, begun = drawn_object(seed)
-        learnt = learnt_file(true, begun, 100 + seed)
+        learnt = learnt_from_goals(true, begun, 100 + seed)
         taps = {}
-        for name, assumed in (("begun", begun), ("learnt", learnt), ("true", true)):
+        for name, assumed in (("begun", begun), ("learnt", learnt.content), ("true", true)):
             summary = summarise(evaluate(_evaluation(true, assumed, count)[0], 200 + seed))
             taps[name] = summary["taps"]["mean"]
         report[f"object {seed} ({true.shape.kind})"] = {
-            "friction": {"true": true.friction, "learnt": learnt.friction},
-            "torque_factor": {"true": true.torque_factor, "learnt": learnt.torque_factor},
+            **{
+                entry.name: {
+                    "true": getattr(true, entry.name),
+                    "learnt": entry.value,
+                    "low": entry.low,
+                    "high": entry.high,
+                }
+                for entry in learnt.estimates
+                if entry.name in ("friction", "torque_factor")
+            },
             "taps": taps,
         }
     rows = [row["taps"] for row in report.values()]
@@ -159,10 +165,10 @@ def lines(report: dict[str, Any]) -> list[str]:
             "that of object new"
         )
         if name != "mean":
-            friction, factor = row["friction"], row["torque_factor"]
-            sentence += (
-                f"; friction {friction['learnt']:.3f} ({friction['true']:.3f} true), torque factor "
-                f"{factor['learnt']:.2f} ({factor['true']:.2f} true)"
+            sentence += "".join(
+                f"; {word} {row[key]['learnt']:.3g}, 95 % {row[key]['low']:.3g} to "
+                f"{row[key]['high']:.3g} ({row[key]['true']:.3g} true)"
+                for key, word in (("friction", "friction"), ("torque_factor", "torque factor"))
             )
         text.append(f"{name}: {sentence}")
     return text

@@ -29,6 +29,10 @@ PRIOR_TIME, PRIOR_DECAY = 1.0, 0.5
 DETERMINED = 0.6
 """An estimate counts if its standard deviation is below this share of that of the prior."""
 
+SLIDE_MODEL = (0.02, 0.03)
+"""Standard deviations of the slide model for a given launch, relative to distance and rotation per
+distance. They limit what one track tells."""
+
 _TIMES = np.exp(np.linspace(-1.5, 1.5, 13))
 _DECAYS = np.exp(np.linspace(-0.9, 0.9, 9))
 _STEPS = 8

@@ -219,7 +219,7 @@ class Tap:
         shape = np.broadcast_shapes(inside.shape, held.shape[:-1])
         turned = np.broadcast_to(turn(wanted, -held[..., 2]), (*shape, 3))
         found = np.array(np.broadcast_to(inside, shape))
-        _, line, slope = self._line_of_action(turned[found])
+        line, slope = line_of_action(self.body, self.sliding.twist_for(turned[found]))
         local = _in_frame(line.normal, line.point)
         found[found] = ~line.missed & self.impact.has_incidence(slope, local)
         return found
@@ -292,7 +292,8 @@ class Tap:
 
     def _plan_in_body(self, wanted: Array) -> TapPlan:
         """Compute plans in the object's frame; the incidence is NaN if no contact is feasible."""
-        twist, line, slope = self._line_of_action(wanted)
+        twist = self.sliding.twist_for(wanted)
+        line, slope = line_of_action(self.body, twist)
         body, normal = self.body, line.normal
         speed = np.hypot(twist[..., 0], twist[..., 1])
         local = _in_frame(normal, line.point)
@@ -311,23 +312,6 @@ class Tap:
             incidence=incidence,
             twist=twist,
         )
-
-    def _line_of_action(self, wanted: Array) -> tuple[Array, Contact, Array]:
-        """Return, in the object's frame, the launch's twist, the contact (where the impulse's line
-        of action enters the body), and the slope of the impulse relative to the contact normal."""
-        twist = self.sliding.twist_for(wanted)
-        velocity, spin = twist[..., :2], twist[..., 2]
-        speed = np.hypot(velocity[..., 0], velocity[..., 1])
-        along = velocity / np.where(speed > 0, speed, 1.0)[..., None]
-        body = self.body
-        lever = body.radius_of_gyration**2 * spin / np.where(speed > 0, speed, 1.0)
-        # The line of action is treated as the path of a point. The first contact of this point with
-        # the body is the contact point.
-        far = 2 * body.bounding_radius
-        start = lever[..., None] * to_right(along) - far * along
-        line = first_contact(body, 0.0, start, along)
-        slope = cross(line.normal, along) / (line.normal * along).sum(axis=-1)
-        return twist, line, slope
 
     def _inside(self, wanted: Array) -> NDArray[np.bool_]:
         distance = np.hypot(wanted[..., 0], wanted[..., 1])
@@ -364,6 +348,22 @@ class Tap:
             f"{math.degrees(rotation):.4g} degrees): the impulse would deviate by more than "
             f"{limit:.4g} degrees from the normal of the edge. Choose another direction."
         )
+
+
+def line_of_action(body: Body, twist: Array) -> tuple[Contact, Array]:
+    """Return the contact of launches (..., 3) in the object's frame, which is where the impulse's
+    line of action enters the body, and the slope (...,) of the impulse relative to the contact
+    normal."""
+    velocity, spin = twist[..., :2], twist[..., 2]
+    speed = np.hypot(velocity[..., 0], velocity[..., 1])
+    along = velocity / np.where(speed > 0, speed, 1.0)[..., None]
+    lever = body.radius_of_gyration**2 * spin / np.where(speed > 0, speed, 1.0)
+    # The line of action is treated as the path of a point. The first contact of this point with the
+    # body is the contact point.
+    far = 2 * body.bounding_radius
+    start = lever[..., None] * to_right(along) - far * along
+    line = first_contact(body, 0.0, start, along)
+    return line, cross(line.normal, along) / (line.normal * along).sum(axis=-1)
 
 
 def _poses(name: str, values: ArrayLike) -> Array:

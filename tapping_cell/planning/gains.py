@@ -30,6 +30,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from tapping_cell.mechanics.slide_track import SLIDE_MODEL
 from tapping_cell.planning.belief import Belief, Prior
 from tapping_cell.planning.errors import PlanningError
 from tapping_cell.planning.interface import Array
@@ -104,10 +105,6 @@ ROTATION_SUM = np.array(
     ]
 )
 """Matrices from the numbers of the beliefs to a, and to (G, o_x, o_y)."""
-
-SLIDE_MODEL = (0.02, 0.03)
-"""Standard deviations of the slide model for a given launch, relative to distance and rotation per
-distance. They limit what one track tells."""
 
 OFFSET_IN_TRACK = 1.17
 """Effect of an offset of the friction on the measurement of a track, relative to its effect on the

@@ -37,22 +37,25 @@ from tapping_cell.cli.measuring_graph import add_graph_arguments
 from tapping_cell.cli.report import no_run
 from tapping_cell.configuration.objects import ObjectFile, load_object
 from tapping_cell.configuration.schema import ConfigurationError
-from tapping_cell.report.run import TapRow
+from tapping_cell.report.run import Launch, TapRow
 from tapping_cell.report.run_folder import TAPS, RunError
 from tapping_cell.se2 import Array, Pose
 
 if TYPE_CHECKING:
     from tapping_cell.calibration.estimates import Estimate
+    from tapping_cell.calibration.learnt_object import Launches
 
 Move = tuple[float, float, float]
-Moves = tuple[Move, Move]
-"""Commanded and measured displacement of a tap, each as x, y (m) and rotation (rad)."""
+Moves = tuple[Move, Move, tuple[float, float, float, float]]
+"""Commanded and measured displacement of a tap, each as x, y (m) and rotation (rad), and its launch
+with the fields of ``Launches``."""
 
 MAX_GOALS = 9
 MIN_TAPS = 15
 FRICTION_KNOWN, FACTOR_KNOWN = 0.02, 0.1
-"""Sufficient relative standard deviations of friction and torque factor. These deviations are well
-below the scatter of a tap, so more accurate values would hardly improve the next goals."""
+"""Sufficient relative standard deviations of friction and torque factor for a known launch
+(``LearntObject.precision``). These deviations are well below the scatter of a tap, so more accurate
+values would hardly improve the next goals."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -90,7 +93,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the verb. Return 0 on success, 1 if the goals failed, 2 for unusable runs or files."""
     # Imported here, because the modules of the fit import much of SciPy. This import takes a second
     # and would delay the help text.
-    from tapping_cell.calibration.learnt_object import EQUIVALENT, learn_object, learning_record
+    from tapping_cell.calibration.learnt_object import advice, learn_object, learning_record
     from tapping_cell.calibration.object_file import object_yaml
 
     try:
@@ -118,7 +121,8 @@ def run(arguments: argparse.Namespace) -> int:
     print(f"{learnt.used} taps, {learnt.left_out} left out")
     for entry in learnt.estimates:
         print(_line(entry))
-    print(EQUIVALENT)
+    for sentence in advice(learnt):
+        print(sentence)
     if output is not None:
         print(f"wrote {arguments.output}; check it with  python -m tapping_cell check-config")
     return 0
@@ -155,13 +159,8 @@ def _known(taps: list[Moves], content: ObjectFile) -> bool:
         return False  # too few taps so far
     if learnt.used < MIN_TAPS:
         return False
-    known = {entry.name: entry for entry in learnt.estimates}
-    friction, factor = known["friction"], known["torque_factor"]
-    return (
-        factor.fitted
-        and friction.std < FRICTION_KNOWN * friction.value
-        and factor.std < FACTOR_KNOWN * factor.value
-    )
+    friction, factor = learnt.precision
+    return friction < FRICTION_KNOWN and factor < FACTOR_KNOWN
 
 
 def _run_folders(paths: list[Path]) -> list[Path]:
@@ -197,20 +196,35 @@ def _taps(folder: Path, name: str) -> list[Moves]:
             tap.measured.y - tap.before.y,
             tap.before.rotation_to(tap.measured),
         )
-        taps.append((_turned(tap.commanded, tap), _turned(moved, tap)))
+        taps.append((_turned(tap.commanded, tap), _turned(moved, tap), _launch(tap.launch)))
     return taps
 
 
-def _arrays(taps: list[Moves]) -> tuple[Array, Array]:
-    """Return the commanded and the measured displacements of the taps, as two arrays (n, 3).
+def _arrays(taps: list[Moves]) -> tuple[Array, Array, Launches]:
+    """Return the commanded and the measured displacements of the taps, as two arrays (n, 3), and
+    their launches.
 
     Raises:
         RecordError: there are no taps.
     """
     if not taps:
         raise RecordError("these runs contain no fired tap with a measured result")
-    commanded, measured = zip(*taps, strict=True)
-    return np.array(commanded), np.array(measured)
+    from tapping_cell.calibration.learnt_object import Launches
+
+    commanded, measured, launches = zip(*taps, strict=True)
+    return np.array(commanded), np.array(measured), Launches(*np.array(launches).T)
+
+
+def _launch(launch: Launch) -> tuple[float, float, float, float]:
+    """Return the launch with the fields of ``Launches``; NaN if the slide was not seen."""
+    if not launch.is_known:
+        return (math.nan,) * 4
+    speed_std, ratio = launch.speed_deviation / launch.speed, math.nan
+    if launch.spin != 0.0:
+        # The deviation in the table is that of the spin, which contains that of the speed.
+        total = launch.spin_deviation / abs(launch.spin)
+        ratio = math.sqrt(max(total**2 - speed_std**2, 0.0))
+    return launch.speed, launch.spin, speed_std, ratio
 
 
 def _turned(move: Pose, tap: TapRow) -> Move:

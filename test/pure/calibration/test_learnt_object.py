@@ -10,13 +10,20 @@ import numpy as np
 import pytest
 
 from tapping_cell.calibration.csv_table import RecordError
-from tapping_cell.calibration.learnt_object import LearntObject, learn_object, learning_record
+from tapping_cell.calibration.learnt_object import (
+    Launches,
+    LearntObject,
+    advice,
+    learn_object,
+    learning_record,
+)
 from tapping_cell.calibration.object_file import object_yaml
 from tapping_cell.configuration.cell import load_cell
 from tapping_cell.configuration.objects import GRAVITY, ObjectFile, ShapeSection, load_object
 from tapping_cell.mechanics import Sliding
 from tapping_cell.planning.evaluation.worlds import scattered
 from tapping_cell.planning.settings import Scatter
+from tapping_cell.planning.track import Track, launch_from
 from tapping_cell.simulation.tap_trials import SimulatedTaps
 from tapping_cell.simulation.truth import ScatterTruth, SupportTruth, TruthFile
 
@@ -93,6 +100,78 @@ def test_the_written_file_is_a_valid_object_file(tmp_path) -> None:  # type: ign
 def test_too_few_taps_are_refused() -> None:
     with pytest.raises(RecordError, match="at least 5"):
         learn_object(GUESS, np.full((4, 3), 0.01), np.full((4, 3), 0.01))
+
+
+FOREIGN_TAPS = 15
+IMAGE_S, POSE_STD, ANGLE_STD = 1 / 30, 5e-5, math.radians(0.05)
+
+
+def foreign_fit(seed: int, *, tracked: bool) -> tuple[LearntObject, float, float]:
+    """Learn a round object whose mass, restitution and contact friction are not those of the file,
+    from poses at rest, and with ``tracked`` also from images at 30 Hz. Return the true friction and
+    torque factor too."""
+    content, friction, factor = drawn(3 * (seed // 2) + seed % 2)
+    random = np.random.default_rng(seed)
+    true = replace(
+        content,
+        friction=friction,
+        torque_factor=factor,
+        mass=content.mass * float(np.exp(random.uniform(-0.7, 0.7))),
+        restitution=float(random.uniform(0.5, 1.0)),
+        contact_friction=float(random.uniform(0.1, 0.35)),
+    )
+    tap = replace(content.tap(STRIKER), smallest_distance=0.0)
+    length = np.exp(random.uniform(math.log(0.004), math.log(0.04), FOREIGN_TAPS))
+    heading = random.uniform(-math.pi, math.pi, FOREIGN_TAPS)
+    slope = np.clip(random.uniform(-1.3, 1.3, FOREIGN_TAPS), -1.0, 1.0) * tap.cone_slope
+    asked = np.stack([length * np.cos(heading), length * np.sin(heading), slope * length], -1)
+    # The length of a slide is what was requested, because the planner learns while it taps.
+    asked = asked * friction / content.friction
+    plan = tap.plan(asked)
+    twist = true.tap(STRIKER).strike(np.zeros(3), plan.strike_pose, plan.striker_speed).twist
+    speed = np.hypot(twist[:, 0], twist[:, 1]) * (1 + random.normal(0.0, 0.025, FOREIGN_TAPS))
+    spin = twist[:, 2] * (1 + random.normal(0.0, 0.15, FOREIGN_TAPS))
+    heading = np.arctan2(twist[:, 1], twist[:, 0]) + random.normal(0.0, 0.017, FOREIGN_TAPS)
+    launch = np.stack([speed * np.cos(heading), speed * np.sin(heading), spin], axis=-1)
+    slide = Sliding(true.body(), friction, factor, GRAVITY)
+    moved = slide.displace(launch)
+    moved = moved + random.normal(0.0, 1.0, moved.shape) * [POSE_STD, POSE_STD, ANGLE_STD]
+    launches = None
+    if tracked:
+        times = np.arange(0.0, 1.5, IMAGE_S)
+        known = Sliding(content.body(), content.friction, content.torque_factor, GRAVITY)
+        rows = []
+        for index in range(FOREIGN_TAPS):
+            since = times + random.uniform(0.0, IMAGE_S)
+            way = slide.profile(speed[index], spin[index], since)
+            x, y = way.distance * math.cos(heading[index]), way.distance * math.sin(heading[index])
+            poses = np.concatenate([np.zeros((2, 3)), np.stack([x, y, way.rotation], axis=-1)])
+            poses += random.normal(0.0, 1.0, poses.shape) * [POSE_STD, POSE_STD, ANGLE_STD]
+            images = np.concatenate([since[0] - IMAGE_S * np.array([2.0, 1.0]), since])
+            track = Track(images, poses, np.tile([POSE_STD, ANGLE_STD], (len(images), 1)))
+            found = launch_from(track, np.zeros(3), moved[index], known)
+            assert found is not None
+            rows.append([found.speed, found.spin, found.speed_std, found.spin_std])
+        launches = Launches(*np.array(rows, dtype=float).T)
+    return learn_object(content, asked, moved, launches), friction, factor
+
+
+@pytest.mark.parametrize("tracked", [False, True])
+def test_intervals_contain_the_true_values_in_a_foreign_impact(tracked: bool) -> None:
+    inside, width = [], []
+    for seed in range(3):
+        found, friction, factor = foreign_fit(seed, tracked=tracked)
+        estimate = {entry.name: entry for entry in found.estimates}
+        for name, value in (("friction", friction), ("torque_factor", factor)):
+            entry = estimate[name]
+            assert entry.low < entry.value < entry.high
+            inside.append(entry.low < value < entry.high)
+        width.append(estimate["friction"].std / estimate["friction"].value)
+        # Only a track tells the friction from the launch speed, and the user is told so.
+        assert any("launch speed was measured in 0 of" in line for line in advice(found)) != tracked
+        assert estimate["launch_speed"].fitted == tracked
+    assert all(inside)
+    assert (max(width) < 0.06) if tracked else (min(width) > 0.3)
 
 
 def test_a_floor_of_the_scatter_is_learnt() -> None:
