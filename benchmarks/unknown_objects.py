@@ -37,7 +37,7 @@ TASKS = (0.040, math.radians(20.0))
 CAMERA = CameraNoise(0.00005, math.radians(0.05))
 TOLERANCE = (0.001, math.radians(1.0))
 TRUTH = TruthFile((0.0, 0.0, 0.0), scatter=ScatterTruth(0.025, 0.15, math.radians(1.0)))
-MARKER = MarkerSection("APRILTAG_36h11", 7, 0.03)
+MARKER = MarkerSection("APRILTAG_36h11", 7, 0.012)
 
 
 @dataclass(slots=True)

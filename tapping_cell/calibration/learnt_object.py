@@ -212,9 +212,9 @@ def learn_object(
     own = replace(content.scatter, position_floor=0.0, angle_floor=0.0)
     # These scales change speed and slope of a sticking impact by the factors found.
     one, two, three = content.impact_scale
-    scale = tuple(float(f"{b / speed:.6g}") for b in (one / slope, two, three))
+    one, two, three = (float(f"{b / speed:.6g}") for b in (one / slope, two, three))
     made = with_estimates(
-        replace(content, scatter=own, impact_scale=scale, calibration=None), estimates
+        replace(content, scatter=own, impact_scale=(one, two, three), calibration=None), estimates
     )
     return LearntObject(
         made,
