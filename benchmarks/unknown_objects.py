@@ -22,6 +22,7 @@ from tapping_cell.calibration.new_object import new_object
 from tapping_cell.configuration.assembly import make_planner_settings
 from tapping_cell.configuration.cell import load_cell
 from tapping_cell.configuration.objects import MarkerSection, ObjectFile, ShapeSection
+from tapping_cell.mechanics.planar import turn
 from tapping_cell.planning import CameraNoise
 from tapping_cell.planning.evaluation import Evaluation, evaluate, summarise
 from tapping_cell.se2 import Array
@@ -58,16 +59,9 @@ class Recorded:
     ) -> Array:
         """Return the displacements (n, 3) of the object in the world, and record the taps."""
         moved = self.world.answer(poses, seen, commanded, gains, rng)
-        self.commanded.append(turned(commanded, -seen[:, 2]))
-        self.measured.append(turned(moved, -seen[:, 2]))
+        self.commanded.append(turn(commanded, -seen[:, 2]))
+        self.measured.append(turn(moved, -seen[:, 2]))
         return moved
-
-
-def turned(moves: Array, angles: Array) -> Array:
-    """Rotate displacements (n, 3) by ``angles`` (n,), in rad."""
-    cos, sin = np.cos(angles), np.sin(angles)
-    x, y = moves[:, 0], moves[:, 1]
-    return np.stack([cos * x - sin * y, sin * x + cos * y, moves[:, 2]], axis=1)
 
 
 def drawn_object(seed: int) -> tuple[ObjectFile, ObjectFile]:

@@ -36,18 +36,18 @@ from tapping_cell.calibration.scatter_floor import Parts, scatter_parts
 from tapping_cell.configuration.objects import GRAVITY, ObjectFile
 from tapping_cell.configuration.provenance import Provenance
 from tapping_cell.mechanics import Sliding
-from tapping_cell.mechanics.planar import cross, to_left
+from tapping_cell.mechanics.planar import cross, to_left, turn
 from tapping_cell.mechanics.slide_track import PRIOR_DECAY, SLIDE_MODEL, decay_of
 from tapping_cell.mechanics.tap import line_of_action
 from tapping_cell.se2 import Array, wrap_angle
 
 FEWEST_TAPS = 5
-UNCERTAIN = 0.1
-"""Relative standard deviation of the friction above which the taps do not tell it."""
 _FEWEST_TRACKS = 3
 """Fewer tracks cannot contradict one another and are not used."""
-FACTOR_UNCERTAIN = 0.25
-"""The same for the torque factor."""
+_FRICTION_UNCERTAIN = 0.1
+"""Relative standard deviation of the friction above which the taps do not tell it."""
+_FACTOR_UNCERTAIN = 0.25
+"""Relative standard deviation of the torque factor above which the taps do not tell it."""
 _SCATTER = (0.05, 0.15, 0.02)
 """Initial standard deviations of the residuals: distance and rotation (relative), and direction
 (rad)."""
@@ -269,10 +269,7 @@ class _Taps:
             self._known[key] = self._slide(factor, self._impulses(slope, math.exp(rubbing)))
         # The displacement of a slide is proportional to speed^2 / friction.
         size = (self._speed * math.exp(speed)) ** 2 / math.exp(friction)
-        made = self._known[key] * size[:, None]
-        cos, sin = math.cos(aim), math.sin(aim)
-        x, y = made[:, 0], made[:, 1]
-        return np.stack([cos * x - sin * y, sin * x + cos * y, made[:, 2]], axis=-1)
+        return turn(self._known[key] * size[:, None], np.asarray(aim))
 
     def errors(self, parameters: Array) -> Array:
         """Return the relative errors of distance and rotation, and the errors of the direction in
@@ -347,7 +344,7 @@ def advice(learnt: LearntObject) -> tuple[str, ...]:
     """Say which of the values the taps do not tell, what that means, and what to do."""
     friction, factor, *_ = learnt.estimates
     words = []
-    if friction.std > UNCERTAIN * friction.value:
+    if friction.std > _FRICTION_UNCERTAIN * friction.value:
         words.append(
             f"the friction itself is known only from {friction.low:.3g} to {friction.high:.3g}, "
             f"because the launch speed was measured in {learnt.tracked} of {learnt.used} taps: a "
@@ -355,7 +352,7 @@ def advice(learnt: LearntObject) -> tuple[str, ...]:
             f"{100 * learnt.precision[0]:.1f} %. To learn the friction itself, let the camera "
             "follow the slides at 30 Hz or more, or use single-tap and object fit"
         )
-    if not factor.fitted or factor.std > FACTOR_UNCERTAIN * factor.value:
+    if not factor.fitted or factor.std > _FACTOR_UNCERTAIN * factor.value:
         words.append(
             "the torque factor is not known well: send more goals that turn the object, or use "
             "single-tap and object fit"
@@ -384,11 +381,11 @@ def _turn(predicted: Array) -> Array:
 def _parts(predicted: Array, errors: Array) -> tuple[Parts | None, Parts | None]:
     """Divide the scatter, of the position and of the angle, into a part proportional to the size of
     the tap and a constant floor."""
-    length, turn = np.hypot(predicted[:, 0], predicted[:, 1]), predicted[:, 2]
+    length, rotation = np.hypot(predicted[:, 0], predicted[:, 1]), predicted[:, 2]
     off = _turn(predicted) * errors[1]
     return (
         scatter_parts([(np.expm1(errors[0]) * length, length), (errors[2] * length, length)]),
-        scatter_parts([(off, np.abs(turn))]),
+        scatter_parts([(off, np.abs(rotation))]),
     )
 
 
