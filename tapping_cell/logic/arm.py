@@ -9,8 +9,8 @@ motion for the requested time. docs/safety.md shows why no shot is then fired wh
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -18,15 +18,38 @@ from tapping_cell.configuration.cell import Cell
 from tapping_cell.hardware.arm import ArmDriver
 from tapping_cell.hardware.arm_settings import HomingStrategy
 from tapping_cell.hardware.faults import LINE_LOST, FaultReason, HardwareFault
-from tapping_cell.hardware.motion import MotionSettings, Waypoint, check_limits
+from tapping_cell.hardware.motion import check_limits
 from tapping_cell.hardware.scara import Joints, ScaraGeometry, TipPose
 from tapping_cell.logic import arm_jobs, enabling, jogging, tap_commands
+from tapping_cell.logic.arm_cycle import SET_UP_SPEED, ArmCycle
 from tapping_cell.logic.arm_jobs import MotionEnd, Reading
 from tapping_cell.logic.arm_readings import ArmReadings
-from tapping_cell.logic.arm_states import AT_WORK, HEALTHY, TABLE, WIRE, Event, S, State
+from tapping_cell.logic.arm_states import (
+    AT_WORK,
+    HEALTHY,
+    TABLE,
+    WIRE,
+    Event,
+    Go,
+    InPosition,
+    Leaving,
+    Placing,
+    S,
+    Serving,
+    State,
+    Tap,
+    Withdrawing,
+)
 from tapping_cell.logic.arm_trajectory import trajectory_targets
 from tapping_cell.logic.clock import Now, to_nanoseconds, to_stamp
-from tapping_cell.logic.device import LONGEST_TIMEOUT_S, MUTE, DeviceLogic, patience_after
+from tapping_cell.logic.device import (
+    LONGEST_TIMEOUT_S,
+    MUTE,
+    Abandon,
+    DeviceLogic,
+    Run,
+    patience_after,
+)
 from tapping_cell.logic.effects import (
     Answer,
     Effect,
@@ -45,7 +68,7 @@ from tapping_cell.logic.poses import from_message
 from tapping_cell.logic.standing_still import StandingStill
 from tapping_cell.logic.tap_commands import CodedError
 from tapping_cell.logic.transitions import StateMachine
-from tapping_cell.logic.withdrawal import Scene, hides_object, uncovering, withdrawal
+from tapping_cell.logic.withdrawal import Scene
 from tapping_cell.messages import (
     ArmState,
     ErrorCode,
@@ -61,13 +84,9 @@ READ_PERIOD_S = 0.05
 """Period of the read-back while the arm stands: a strike pose is confirmed 20 times a second."""
 FRESH_READING_S = 0.25
 """Maximum age of the last read-back, s; if it is older, the arm does not promise to stand still."""
-SHORT_REST_S = 0.05
-"""Time, s, before the end of the promise to stand still at which the arm begins to prepare its next
-move."""
-SET_UP_SPEED = 0.25
-"""Fraction of the ordinary speed in set-up mode."""
-
-
+DEVIATIONS = 2
+"""Number of consecutive readings away from the strike pose that are a fault; a single one may be
+garbled."""
 UNHOMED = (FaultReason.NOT_HOMED, FaultReason.HOMING_FAILED)
 
 
@@ -101,19 +120,16 @@ class ArmLogic(DeviceLogic[State, Event]):
         self._error = (ErrorCode.ARM_NOT_CONNECTED, "the arm is not connected yet")
         self._readings = ArmReadings()
         self._still = StandingStill()
-        self._placed: Joints | None = None
-        self._deviating_readings = 0
-        self._clear_of_camera = False
-        self._tap_id = 0
+        self._cycle = ArmCycle(self._still, options.set_up)
+        self._serving: Serving | None = None
+        """Record of the present state; None in a state without one."""
+        self._withdrawn: Withdrawing | None = None
+        """Last withdrawal; None once the arm was moved again."""
         self._last_tap_id = 0
         self._last_id = 0
         """Id of the last command, a TAP or a CLEAR_VIEW."""
-        self._expiry = 0
         self._halting = False
         self._camera: tuple[float, float, float] | None = None
-        self._scene: Scene | None = None
-        self._to_park = False
-        self._leaving_since = -math.inf
         self._enabling = EnablingDevice()
         self._goal_active = False
         """Whether the planner's last report is of a goal under way."""
@@ -173,9 +189,10 @@ class ArmLogic(DeviceLogic[State, Event]):
             if late := tap_commands.late_withdrawal(command, now):
                 self._log(LogLevel.WARNING, f"withdrawal of tap {command.tap_id} ignored: {late}")
                 return
+            at = self._serving
             ours = command.tap_id != 0 and command.tap_id == self._tap_id
-            if ours and self.state in (S.PLACING, S.IN_POSITION):
-                self._give_up(now)
+            if ours and isinstance(at, Placing | InPosition):
+                self._give_up(at, now)
             elif command.tap_id != 0 and command.tap_id == self._last_tap_id:
                 self._withdraw_again(now)
             return
@@ -184,29 +201,20 @@ class ArmLogic(DeviceLogic[State, Event]):
             code, sentence = refusal
             self._refuse(code, f"tap {command.tap_id} refused: {sentence}")
             return
-        if command.request == TapCommand.CLEAR_VIEW:
-            self._clear_view(command, now)
-            return
-        self._machine.move(Event.TAP, S.PLACING)
-        self._tap_id = self._last_tap_id = self._last_id = command.tap_id
-        self._expiry = to_nanoseconds(command.expiry)
         self._error = (ErrorCode.NONE, "")
-        self._clear_of_camera = self._to_park = False
-        self._scene = self._scene_of(command)
-        arm = self._cell.arm
+        self._last_id = command.tap_id
+        if command.request == TapCommand.CLEAR_VIEW:
+            self._carry_out(self._cycle.clear_view(self._camera, now))
+            return
+        self._last_tap_id = command.tap_id
         tip = self._cell.arm_base.inverse() @ from_message(command.strike_pose)
-        place = TipPose(tip.x, tip.y, arm.strike_height, tip.theta)
-        self._run(
-            "place",
-            partial(
-                arm_jobs.place,
-                tip=place,
-                motion=self._motion(),
-                expiry=self._expiry,
-                not_before=self._still.free_at(now),
-                hides=partial(hides_object, self._cell, self._scene),
-            ),
+        tap = Tap(
+            tap_id=command.tap_id,
+            expiry=to_nanoseconds(command.expiry),
+            strike=TipPose(tip.x, tip.y, self._cell.arm.strike_height, tip.theta),
+            scene=self._scene_of(command),
         )
+        self._carry_out(self._cycle.begin(tap, now))
 
     def _scene_of(self, command: TapCommand) -> Scene | None:
         """Return the scene that the camera must see after a tap; None if the camera's position or a
@@ -223,41 +231,12 @@ class ArmLogic(DeviceLogic[State, Event]):
     def _withdraw_again(self, now: Now) -> None:
         """Move the arm to its park pose, because the arm hides the object even after the
         withdrawal."""
-        if self.state in (S.LEAVING, S.WITHDRAWING):
-            self._to_park = True
-            return
-        may_move = self._active and self.state is S.IDLE and self._enabled(now)
-        if may_move and self._clear_of_camera and self._scene is not None:
-            self._park(now)
-
-    def _park(self, now: Now) -> None:
-        self._machine.move(Event.PARK, S.WITHDRAWING)
-        self._clear_of_camera = self._to_park = False
-        self._scene = None
-        self._run_withdrawal(now)
-
-    def _clear_view(self, command: TapCommand, now: Now) -> None:
-        """Move the arm to uncover the area that the arm hides from the camera now."""
-        self._machine.move(Event.CLEAR_VIEW, S.WITHDRAWING)
-        self._last_id = command.tap_id
-        self._error = (ErrorCode.NONE, "")
-        self._clear_of_camera = self._to_park = False
-        self._scene = None
-        self._run_plan(partial(uncovering, self._cell, self._camera, motion=self._motion()), now)
-
-    def _run_withdrawal(self, now: Now) -> None:
-        self._run_plan(partial(withdrawal, self._cell, self._scene, motion=self._motion()), now)
-
-    def _run_plan(self, plan: Callable[[Joints], Sequence[Waypoint]], now: Now) -> None:
-        """Start a move along the path that ``plan`` computes from the joint values of the arm at
-        rest."""
-        self._run_when_free("withdraw", partial(arm_jobs.withdraw, plan=plan), now)
-
-    def _run_when_free(self, name: str, motion: Callable[..., MotionEnd], now: Now) -> None:
-        """Start a job that moves the arm as soon as the arm need not stand still any longer and the
-        striker is no longer charged."""
-        not_before = self._still.free_at(now)
-        self._run(name, partial(motion, not_before=not_before, free_at=self._still.free_at))
+        if self.state is S.IDLE:
+            hides = self._withdrawn is not None and self._withdrawn.scene is not None
+            if hides and self._active and self._enabled(now):
+                self._carry_out(self._cycle.park(0, now))
+        else:
+            self._carry_out(self._cycle.withdraw_again(self._serving))
 
     def _refusal(self, command: TapCommand, now: Now) -> CodedError | None:
         """Return why a tap command is refused, or None if it is accepted."""
@@ -300,9 +279,11 @@ class ArmLogic(DeviceLogic[State, Event]):
             return
         self._machine.move(Event.TRAJECTORY, S.FOLLOWING)
         self._error = (ErrorCode.NONE, "")
-        self._clear_of_camera = False
-        scale = SET_UP_SPEED if self._options.set_up else 1.0
-        self._run_when_free("follow", partial(arm_jobs.follow, targets=targets, scale=scale), now)
+        self._follow(targets, SET_UP_SPEED if self._options.set_up else 1.0, now)
+
+    def _follow(self, targets: Sequence[tuple[Joints, float]], scale: float, now: Now) -> None:
+        job = partial(arm_jobs.follow, targets=targets, scale=scale)
+        self._carry_out([self._cycle.when_free("follow", job, now)])
 
     def _home(self, token: Token, now: Now) -> None:
         if not self._active:
@@ -319,10 +300,9 @@ class ArmLogic(DeviceLogic[State, Event]):
     def _begin_homing(self, now: Now) -> None:
         self._machine.move(Event.HOME, S.HOMING)
         self._error = (ErrorCode.NONE, "")
-        self._clear_of_camera = False
         strategy = HomingStrategy(self._cell.arm.homing)
-        home = partial(arm_jobs.home, strategy=strategy, motion=self._motion())
-        self._run_when_free("home", home, now)
+        home = partial(arm_jobs.home, strategy=strategy, motion=self._cycle.motion())
+        self._carry_out([self._cycle.when_free("home", home, now)])
 
     # Set-up mode
 
@@ -332,7 +312,7 @@ class ArmLogic(DeviceLogic[State, Event]):
             return error
         if request.kind == Jog.Request.PARK:
             self._error = (ErrorCode.NONE, "")
-            self._park(now)
+            self._carry_out(self._cycle.park(0, now))
             return None
         reading = self._readings.of_homed_arm
         assert reading is not None
@@ -341,10 +321,7 @@ class ArmLogic(DeviceLogic[State, Event]):
             return goal
         self._machine.move(Event.JOG, S.FOLLOWING)
         self._error = (ErrorCode.NONE, "")
-        self._clear_of_camera = False
-        scale = self._motion().near_speed
-        job = partial(arm_jobs.follow, targets=[(goal, 0.0)], scale=scale)
-        self._run_when_free("follow", job, now)
+        self._follow([(goal, 0.0)], self._cycle.motion().near_speed, now)
         return None
 
     def _jog_refusal(self, now: Now) -> CodedError | None:
@@ -414,7 +391,8 @@ class ArmLogic(DeviceLogic[State, Event]):
         refuse."""
         if (error := self._still.invalid(request) or self._conflict) is not None:
             return error
-        if not self._active or self.state is not S.IN_POSITION or request.tap_id != self._tap_id:
+        at = self._serving
+        if not self._active or not isinstance(at, InPosition) or request.tap_id != at.tap_id:
             return (
                 ErrorCode.TAPPER_ARM_NOT_IN_POSITION,
                 f"the arm is not in position for tap {request.tap_id}: its state is"
@@ -423,7 +401,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         if (error := self._still.repeated(request)) is not None:
             return error
         age = self._readings.age(now)
-        if age > FRESH_READING_S or self._deviating_readings or now.ros > self._expiry:
+        if age > FRESH_READING_S or at.deviating or now.ros > at.tap.expiry:
             return (
                 ErrorCode.TAPPER_ARM_NOT_IN_POSITION,
                 "the arm cannot confirm that it is at the strike pose: its last measured position"
@@ -437,26 +415,38 @@ class ArmLogic(DeviceLogic[State, Event]):
         if self._still.on_tapper_state(message, self._last_tap_id, is_trusted, now):
             self._leave_when_free(now)
 
-    def _give_up(self, now: Now) -> None:
-        """End the tap and leave the strike pose as soon as the arm no longer has to stand still."""
-        self._machine.move(Event.GIVEN_UP, S.LEAVING)
-        self._leaving_since = now.steady
-        self._abandon()
+    # The cycle of a tap
+
+    @property
+    def _tap_id(self) -> int:
+        """Id of the tap under way; 0 if there is none."""
+        return 0 if self._serving is None else self._serving.tap_id
+
+    def _carry_out(self, steps: Iterable[Go | Run | Abandon]) -> None:
+        """Carry out the steps of the cycle. Every job of a step moves the arm."""
+        for step in steps:
+            if isinstance(step, Go):
+                if step.event is not None:
+                    self._machine.move(step.event, step.record.state)
+                self._serving = step.record
+            elif isinstance(step, Run):
+                self._withdrawn = None
+                self._run(step.name, step.job)
+            else:
+                self._abandon()
+
+    def _go(self, event: Event, target: State) -> None:
+        """Go to a state in which no tap is under way."""
+        self._machine.move(event, target)
+        self._serving = None
+
+    def _give_up(self, at: Placing | InPosition, now: Now) -> None:
+        self._carry_out(self._cycle.give_up(at, now))
         self._leave_when_free(now)
 
     def _leave_when_free(self, now: Now) -> None:
-        if self.state is not S.LEAVING or self._job is not None:
-            return
-        # While the striker is charged, the arm waits, but not longer than LONGEST_WAIT_S.
-        if self._still.waits_for_striker(self._leaving_since, now):
-            return
-        # The job may start shortly before the arm is free to move: it reads the joints, then waits
-        # until the promise to stand still has ended.
-        if now.steady >= self._still.until - SHORT_REST_S:
-            self._machine.move(Event.FREE, S.WITHDRAWING)
-            if self._to_park:
-                self._scene = None
-            self._run_withdrawal(now)
+        if self._job is None:
+            self._carry_out(self._cycle.leave_when_free(self._serving, now))
 
     # Jobs
 
@@ -466,9 +456,8 @@ class ArmLogic(DeviceLogic[State, Event]):
     def _job_done(self, name: str, result: Any, now: Now) -> None:
         if name == "send stop":
             return
-        reading = result.reading if isinstance(result, MotionEnd) else result
-        complete = not isinstance(result, MotionEnd) or result.complete
-        self._readings.take_in(reading, now)
+        at = self._serving
+        self._readings.take_in(result.reading if isinstance(result, MotionEnd) else result, now)
         if self._halting:
             self._halt(now)
         elif name == "connect":
@@ -477,22 +466,18 @@ class ArmLogic(DeviceLogic[State, Event]):
                 self._halt(now)
         elif name == "clear":
             self._stand(Event.CLEARED)
-        elif self.state is S.LEAVING:
+        elif isinstance(at, Leaving):
             self._leave_when_free(now)
-        elif name == "place" and not complete:
-            self._give_up(now)
-        elif name == "place":
-            self._machine.move(Event.PLACED, S.IN_POSITION)
-            self._placed, self._deviating_readings = reading.joints, 0
+        elif isinstance(at, Placing):
+            self._carry_out(self._cycle.placed(at, result, now))
+            self._leave_when_free(now)
         elif name == "follow":
-            self._machine.move(Event.FOLLOWED, S.IDLE)
-        elif name == "withdraw" and self._to_park and self._scene is not None:
-            self._park(now)
+            self._go(Event.FOLLOWED, S.IDLE)
+        elif isinstance(at, Withdrawing) and at.then_park:
+            self._carry_out(self._cycle.park(at.tap_id, now))
         else:
-            event = Event.HOMED if name == "home" else Event.WITHDRAWN
-            self._machine.move(event, S.IDLE)
-            self._tap_id = 0
-            self._clear_of_camera = True
+            self._go(Event.HOMED if name == "home" else Event.WITHDRAWN, S.IDLE)
+            self._withdrawn = at if isinstance(at, Withdrawing) else PARKED
 
     def _job_failed(self, name: str, fault: HardwareFault, now: Now) -> None:
         tried = self.patience
@@ -511,8 +496,8 @@ class ArmLogic(DeviceLogic[State, Event]):
             self._set_error(of_arm(fault), fault.sentence)
             if self._halting:
                 self._halt(now)
-            elif self.state is S.PLACING:
-                self._give_up(now)
+            elif isinstance(self._serving, Placing):
+                self._give_up(self._serving, now)
             else:
                 self._leave_when_free(now)
             return
@@ -531,25 +516,10 @@ class ArmLogic(DeviceLogic[State, Event]):
 
     def _read_done(self, result: Any, now: Now) -> None:
         self._readings.take_in(result, now)
-        if self.state is S.IN_POSITION:
-            self._check_place(result)
-
-    def _check_place(self, reading: Reading) -> None:
-        """Check that the arm stays where it was placed. A single deviating reading is ignored,
-        because it may be garbled."""
-        arm = self._cell.arm
-        angle, quill = 2 * arm.tolerance_angle, 2 * arm.tolerance_quill
-        limits = (angle, angle, quill, angle)
-        assert self._placed is not None
-        near = all(
-            abs(a - b) <= limit
-            for a, b, limit in zip(reading.joints, self._placed, limits, strict=True)
-        )
-        if reading.homed and near and not reading.moving:
-            self._deviating_readings = 0
+        if not isinstance(self._serving, InPosition):
             return
-        self._deviating_readings += 1
-        if self._deviating_readings >= 2:
+        self._serving = self._cycle.checked(self._serving, result)
+        if self._serving.deviating >= DEVIATIONS:
             self._fail_to(S.FAULT)
             self._set_error(
                 ErrorCode.ARM_POSITION_MISMATCH,
@@ -568,14 +538,14 @@ class ArmLogic(DeviceLogic[State, Event]):
         self._geometry = event.cell.arm.geometry()
         self._readings.configure(event.cell)
         self._still.configure(event.cell, now)
+        self._cycle.configure(event.cell)
 
     def _closed(self) -> None:
         self._halting = False
-        self._tap_id = 0
         self._readings.last = None
         # After a failed attempt to connect, the reason for the failure remains.
         if self.state not in (S.STOPPED, S.DISCONNECTED):
-            self._machine.move(Event.CLOSED, S.DISCONNECTED)
+            self._go(Event.CLOSED, S.DISCONNECTED)
             self._error = (ErrorCode.ARM_NOT_CONNECTED, "the arm is not connected")
 
     def before_connect(self, driver: ArmDriver) -> None:
@@ -606,15 +576,14 @@ class ArmLogic(DeviceLogic[State, Event]):
     def _stand(self, event: Event) -> None:
         """Set the state after the arm was connected, cleared or activated."""
         self.patience = patience_after(self.patience, None)
-        self._tap_id = 0
         if not self._active and event is not Event.CONNECTED:
-            self._machine.move(event, S.INACTIVE)
+            self._go(event, S.INACTIVE)
             self._error = INACTIVE_ERROR
         elif self._readings.of_homed_arm is not None:
-            self._machine.move(event, S.IDLE)
+            self._go(event, S.IDLE)
             self._error = (ErrorCode.NONE, "")
         else:
-            self._machine.move(event, S.NOT_HOMED)
+            self._go(event, S.NOT_HOMED)
             self._error = (
                 ErrorCode.ARM_NOT_HOMED,
                 "the arm is not homed; make sure that its path is free, then home the arm",
@@ -641,8 +610,7 @@ class ArmLogic(DeviceLogic[State, Event]):
 
     def _halt(self, now: Now) -> None:
         self._halting = False
-        self._machine.move(Event.DEACTIVATED, S.INACTIVE)
-        self._tap_id = 0
+        self._go(Event.DEACTIVATED, S.INACTIVE)
         self._error = INACTIVE_ERROR
         if self._active:
             self._activated(now)
@@ -650,10 +618,8 @@ class ArmLogic(DeviceLogic[State, Event]):
     def _stop(self, now: Now) -> None:
         self._overtake()
         self._halting = False
-        self._tap_id = 0
-        self._readings.last = None
-        self._scene = None  # a late withdrawal must not move the arm after the stop was cleared
-        self._machine.move(Event.STOP, S.STOPPED)
+        self._forget_position()
+        self._go(Event.STOP, S.STOPPED)
         self._set_error(*self.stop_error)
         if self._configured:
             self._run("send stop", partial(arm_jobs.send_stop, patience=self.patience))
@@ -665,8 +631,14 @@ class ArmLogic(DeviceLogic[State, Event]):
     def _fail_to(self, target: State) -> None:
         self._overtake()
         self._halting = False
-        self._readings.last = self._scene = None
-        self._machine.move(Event.FAILED, target)
+        self._forget_position()
+        self._go(Event.FAILED, target)
+
+    def _forget_position(self) -> None:
+        self._readings.last = None
+        if self._withdrawn is not None:
+            # A late withdrawal must not move the arm after the stop or fault was cleared.
+            self._withdrawn = PARKED
 
     def _healthy(self) -> bool:
         return self.state in HEALTHY
@@ -686,20 +658,8 @@ class ArmLogic(DeviceLogic[State, Event]):
                 self._run("connect", partial(arm_jobs.connect, patience=self.patience))
         elif self.state not in (S.STOPPED, S.FAULT):
             self._read_when_due(READ_PERIOD_S, arm_jobs.read, now)
-        if self.state is S.IN_POSITION and now.ros > self._expiry:
-            # The planner did not withdraw this tap in time; the planner's node may have ended.
-            self._give_up(now)
+        self._carry_out(self._cycle.check_expiry(self._serving, now))
         self._leave_when_free(now)
-
-    def _motion(self) -> MotionSettings:
-        motion = self._cell.arm.motion()
-        if not self._options.set_up:
-            return motion
-        return replace(
-            motion,
-            travel_speed=SET_UP_SPEED * motion.travel_speed,
-            near_speed=SET_UP_SPEED * motion.near_speed,
-        )
 
     # Reports
 
@@ -710,7 +670,7 @@ class ArmLogic(DeviceLogic[State, Event]):
             state=WIRE[self.state],
             tap_id=self._tap_id,
             homed=reading is not None,
-            clear_of_camera=self._clear_of_camera,
+            clear_of_camera=self._withdrawn is not None,
             set_up=self._options.set_up,
             enabled=self._is_key_held(now),
             last_stop=self._last_stop,
@@ -739,4 +699,6 @@ class ArmLogic(DeviceLogic[State, Event]):
         return WIRE[state], self._tap_id, self._is_key_held(now), self._shown_error(now), read
 
 
+PARKED = Withdrawing(tap_id=0, scene=None)
+"""Withdrawal to the park pose."""
 INACTIVE_ERROR = (ErrorCode.NOT_ACTIVE, "the arm's node is not active; activate it")

@@ -1,10 +1,17 @@
-"""States of the arm, and the transition table."""
+"""States of the arm: the transition table, and a record of the data of each state in which a tap is
+under way or the arm withdraws. ``arm_cycle`` leads from one record to the next."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import dataclass
 from enum import Enum
+from typing import ClassVar
 
+from tapping_cell.hardware.scara import Joints, TipPose
+from tapping_cell.logic.device import Abandon, Run
 from tapping_cell.logic.transitions import table
+from tapping_cell.logic.withdrawal import Scene
 from tapping_cell.messages import ArmState
 
 
@@ -109,3 +116,79 @@ HEALTHY = frozenset(
 )
 AT_WORK = HEALTHY - {S.IDLE}
 """States in which the arm moves, or stands at the strike pose and may move again."""
+
+
+@dataclass(frozen=True, slots=True)
+class Tap:
+    """The tap under way."""
+
+    tap_id: int
+    expiry: int
+    """ROS time, ns."""
+    strike: TipPose
+    """Pose of the tip for the strike, in ``arm_base``."""
+    scene: Scene | None
+    """What the camera must see after the tap; None: the arm withdraws to its park pose."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Serving:
+    """The arm serves a tap, or withdraws. ``tap_id``: id of the tap; 0 without one."""
+
+    state: ClassVar[State]
+    tap_id: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Placing(Serving):
+    """A job moves the tip to the strike pose."""
+
+    state = S.PLACING
+    tap: Tap
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class InPosition(Serving):
+    """The tip was read back at the strike pose."""
+
+    state = S.IN_POSITION
+    tap: Tap
+    joints: Joints
+    """Joint values at the strike pose."""
+    deviating: int = 0
+    """Number of consecutive readings that deviate from these values."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Leaving(Serving):
+    """The tap is over, and the arm must not move yet."""
+
+    state = S.LEAVING
+    since: float
+    """Time of the end of the tap, s of the steady clock."""
+    scene: Scene | None
+    """What the camera must see after the withdrawal; None: the park pose is the target."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Withdrawing(Serving):
+    """A job withdraws the arm."""
+
+    state = S.WITHDRAWING
+    scene: Scene | None
+    """What the camera must see after the withdrawal; None: the park pose is the target."""
+    then_park: bool = False
+    """Whether the arm moves on to its park pose."""
+
+
+@dataclass(frozen=True, slots=True)
+class Go:
+    """Go to the state of ``record``. Without an event, the state remains, and only its data
+    changes."""
+
+    event: Event | None
+    record: Serving
+
+
+Steps = Iterator[Go | Run | Abandon]
+"""Changes of the record and jobs, carried out in this order."""

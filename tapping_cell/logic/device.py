@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from enum import Enum
 from typing import Any, ClassVar, Generic, TypeVar
 
@@ -64,6 +65,19 @@ NOT_STARTED = HardwareFault(FaultReason.STOPPED, "not started because of an inte
 
 State = TypeVar("State", bound=Enum)
 Event = TypeVar("Event", bound=Enum)
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """Step of the cycle of a tap: start a job, and abandon the job under way."""
+
+    name: str
+    job: Callable[[JobContext], object]
+
+
+@dataclass(frozen=True, slots=True)
+class Abandon:
+    """Step of the cycle of a tap: abandon the job under way. Its end is still awaited."""
 
 
 def patience_after(patience: float, fault: HardwareFault | None) -> float:

@@ -18,7 +18,7 @@ from tapping_cell.hardware.tapper_protocol import Reply
 from tapping_cell.hardware.tapper_protocol import State as BoardState
 from tapping_cell.logic import enabling, tap_commands, tapper_cycle, tapper_jobs
 from tapping_cell.logic.clock import Now, to_stamp
-from tapping_cell.logic.device import DeviceLogic, patience_after
+from tapping_cell.logic.device import Abandon, DeviceLogic, Run, patience_after
 from tapping_cell.logic.effects import JobEnded, LogLevel, Message, Publish, Token
 from tapping_cell.logic.enabling import EnablingDevice
 from tapping_cell.logic.error_codes import of_tapper
@@ -32,7 +32,6 @@ from tapping_cell.logic.tapper_peers import PeerLimits, TapperPeers
 from tapping_cell.logic.tapper_states import (
     TABLE,
     WIRE,
-    Abandon,
     Charged,
     Charging,
     Discharging,
@@ -40,7 +39,6 @@ from tapping_cell.logic.tapper_states import (
     Firing,
     Go,
     Over,
-    Run,
     S,
     Serving,
     State,

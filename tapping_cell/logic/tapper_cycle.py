@@ -13,12 +13,12 @@ from functools import partial
 
 from tapping_cell.logic import permit, tapper_jobs
 from tapping_cell.logic.clock import Now
+from tapping_cell.logic.device import Abandon, Run
 from tapping_cell.logic.effects import Call, Message, Token
 from tapping_cell.logic.tap_commands import CodedError
 from tapping_cell.logic.tapper_jobs import ChargeEnd
 from tapping_cell.logic.tapper_peers import TapperPeers
 from tapping_cell.logic.tapper_states import (
-    Abandon,
     Charged,
     Charging,
     Discharging,
@@ -26,7 +26,6 @@ from tapping_cell.logic.tapper_states import (
     Firing,
     Go,
     Over,
-    Run,
     Serving,
     Steps,
     Waiting,

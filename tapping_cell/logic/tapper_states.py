@@ -4,12 +4,13 @@ is under way. ``tapper_cycle`` leads from one record to the next."""
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import Enum
 from typing import ClassVar
 
-from tapping_cell.logic.effects import Effect, JobContext
+from tapping_cell.logic.device import Abandon, Run
+from tapping_cell.logic.effects import Effect
 from tapping_cell.logic.tap_commands import CodedError
 from tapping_cell.logic.transitions import table
 from tapping_cell.messages import TapperState
@@ -177,19 +178,6 @@ class Go:
 
     event: Event | None
     record: Serving
-
-
-@dataclass(frozen=True, slots=True)
-class Run:
-    """Start a job, and abandon the job under way."""
-
-    name: str
-    job: Callable[[JobContext], object]
-
-
-@dataclass(frozen=True, slots=True)
-class Abandon:
-    """Abandon the job under way. Its end is still awaited."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -111,7 +111,7 @@ def test_the_arm_moves_slowly_and_homes_only_on_request_in_set_up_mode(set_up: b
     arm.on_lifecycle(Configured(CELL, Reading(True, PARKED, False, START)), now)
     assert bool(jobs(arm.on_lifecycle(Activated(), now))) is not set_up
     factor = arms.SET_UP_SPEED if set_up else 1.0
-    assert (arms.SET_UP_SPEED < 0.5) and arm._motion() == replace(
+    assert (arms.SET_UP_SPEED < 0.5) and arm._cycle.motion() == replace(
         CELL.arm.motion(),
         travel_speed=factor * CELL.arm.motion().travel_speed,
         near_speed=factor * CELL.arm.motion().near_speed,
