@@ -187,7 +187,7 @@ NODES = ("tap_planner", "scara_arm", "tapper_trigger")
 MODULES = {
     "tap_planner": "planner tap_cycle tap_decision tap_steps tap_counts tap_sender confirmation"
     " resumption goal_requests planner_reports planner_inputs",
-    "scara_arm": "arm arm_readings standing_still device",
+    "scara_arm": "arm arm_cycle arm_readings standing_still device",
     "tapper_trigger": "tapper tapper_cycle tapper_board tapper_commands device",
 }
 """Modules of ``tapping_cell.logic`` that are the state machine of each node."""

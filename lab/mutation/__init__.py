@@ -21,7 +21,10 @@ MODULES = tuple(
     f"{room}.{name}"
     for room, names in (
         ("logic", "permit stops tap_commands tapper_peers tapper tapper_jobs device arm planner"),
-        ("logic", "tapper_cycle tapper_board tapper_commands standing_still arm_readings"),
+        (
+            "logic",
+            "tapper_cycle tapper_board tapper_commands arm_cycle standing_still arm_readings",
+        ),
         ("logic", "planner_inputs goal_requests arm_trajectory"),
         ("logic", "tap_cycle tap_decision tap_steps tap_counts tap_sender confirmation resumption"),
         ("hardware", "tapper output_tapper"),

@@ -103,7 +103,10 @@ def _draw_table(axes: Axes, run: Run) -> None:
     x, y = 500 * length, 500 * width
     axes.add_patch(Rectangle((-x, -y), 2 * x, 2 * y, facecolor=TABLE, edgecolor=LINE))
     poses = [(one.start, START, 1.0)] if one.start is not None else []
-    poses += [(tap.measured, REST, 0.35 + 0.5 * tap.number / len(run.taps)) for tap in _seen(run)]
+    # The first tap of a goal that a restarted planner resumed has a greater number than 1.
+    poses += [
+        (tap.measured, REST, 0.35 + 0.5 * tap.number / run.taps[-1].number) for tap in _seen(run)
+    ]
     for pose, colour, alpha in poses:
         axes.add_patch(
             Polygon(_outline_at(run, pose), fill=False, edgecolor=colour, alpha=alpha, lw=1.2)

@@ -131,7 +131,7 @@ class _Film:
         foot = np.full((FOOT, 2 * WIDTH, 3), _bgr(CARD), dtype=np.uint8)
         words = f"{self._run.name}   {time:.1f} s"
         if started:
-            words += f"   tap {started[-1][0].number} of {len(self._run.taps)}"
+            words += f"   tap {started[-1][0].number} of {self._run.taps[-1].number}"
         font = cv2.FONT_HERSHEY_SIMPLEX
         cv2.putText(foot, words, (10, 22), font, 0.55, _bgr(INK), 1, cv2.LINE_AA)
         return np.vstack([np.hstack([plan, self._camera(time)]), foot])

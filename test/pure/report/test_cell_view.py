@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import itertools
+from pathlib import Path
 
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from report_parts import made_run, tap_row
 
-from tapping_cell.report.cell_view import _draw_table
+from tapping_cell.report.cell_view import _draw_table, draw_cell
 from tapping_cell.se2 import Pose
 
 
@@ -25,3 +26,9 @@ def test_the_numbers_of_strikes_at_the_same_place_do_not_overlap() -> None:
     assert len(boxes) == 3
     assert not any(one.overlaps(other) for one, other in itertools.combinations(boxes, 2))
     assert all(axes.bbox.contains(*box.min) and axes.bbox.contains(*box.max) for box in boxes)
+
+
+def test_a_goal_that_a_restarted_planner_resumed_has_a_figure(tmp_path: Path) -> None:
+    taps = [tap_row(number) for number in (3, 4)]
+    draw_cell(made_run(taps), tmp_path / "cell.png")
+    assert (tmp_path / "cell.png").stat().st_size > 10_000
