@@ -315,7 +315,10 @@ def _records(stream: BinaryIO, file: Path) -> Iterator[tuple[int, memoryview]]:
     The statistics are yielded last, if the file has its end. A truncated record ends the iteration;
     all records before it are complete.
     """
-    if stream.read(8) != _MAGIC:
+    start = stream.read(8)
+    if not start:
+        raise BagError(f"{file} is empty: its recorder ended before it had written a message")
+    if start != _MAGIC:
         raise BagError(f"{file} is not an MCAP file")
     size = os.fstat(stream.fileno()).st_size
     while len(head := stream.read(9)) == 9:
