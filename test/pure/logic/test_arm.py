@@ -123,6 +123,56 @@ def test_an_arm_that_may_have_moved_promises_nothing_and_a_second_such_reading_i
     assert pair.arm.error[0] == ErrorCode.ARM_POSITION_MISMATCH
 
 
+@pytest.mark.parametrize(("share", "stays"), [(0.99, True), (1.01, False)])
+@pytest.mark.parametrize("joint", Joints._fields)
+def test_the_arm_stays_at_the_strike_pose_within_twice_the_tolerance_of_its_settling(
+    joint: str, share: float, stays: bool
+) -> None:
+    pair = in_position()
+    arm = CELL.arm
+    limit = 2 * (arm.tolerance_quill if joint == "quill" else arm.tolerance_angle)
+    near = PARK._replace(**{joint: getattr(PARK, joint) + share * limit})
+    for steady in (1.0, 1.1):
+        read(pair, near, START + steady)
+    assert (pair.arm.state is arm_states.State.IN_POSITION) == stays
+
+
+def test_an_arm_whose_tap_expires_on_its_way_is_not_in_position() -> None:
+    pair = Pair()
+    here = Reading(True, PARK, False, START)
+    pair.arm.on_lifecycle(Configured(CELL, here), at(START - 10.0))
+    pair.arm.on_lifecycle(Activated(), at(START - 10.0))
+    tap = pair.command(TapCommand.TAP, at(START))
+    (place,) = jobs(pair.arm.on_message("tap_command", tap, at(START)))
+    made = pair.arm.on_job(JobEnded(place, MotionEnd(False, here)), at(START + 1.0))
+    assert withdraws(made) and pair.arm.state is arm_states.State.WITHDRAWING
+
+
+@pytest.mark.parametrize("again", [False, True])
+def test_an_arm_that_still_hides_the_object_parks_after_its_withdrawal(again: bool) -> None:
+    pair = Pair()
+    here = Reading(True, PARK, False, START)
+    pair.arm.on_lifecycle(Configured(CELL, here), at(START - 10.0))
+    pair.arm.on_lifecycle(Activated(), at(START - 10.0))
+    camera = PoseStamped()
+    camera.pose.position.z = 1.0
+    pair.arm.on_message("camera/pose", camera, at(START - 1.0))
+    tap = pair.command(TapCommand.TAP, at(START))
+    (place,) = jobs(pair.arm.on_message("tap_command", tap, at(START)))
+    pair.arm.on_job(JobEnded(place, MotionEnd(True, here)), at(START))
+    withdraw = pair.command(TapCommand.WITHDRAW, at(START))
+    (first,) = jobs(pair.arm.on_message("tap_command", withdraw, at(START)))
+    if again:
+        assert not jobs(pair.arm.on_message("tap_command", withdraw, at(START)))
+    made = pair.arm.on_job(JobEnded(first, MotionEnd(True, here)), at(START + 0.5))
+    assert withdraws(made) == again
+    assert (pair.arm.state is arm_states.State.IDLE) != again
+    if again:
+        (second,) = jobs(made)
+        pair.arm.on_job(JobEnded(second, MotionEnd(True, here)), at(START + 1.0))
+        assert pair.arm.state is arm_states.State.IDLE
+
+
 def test_a_withdrawal_while_the_arm_is_being_placed_abandons_the_motion() -> None:
     pair = Pair()
     here = Reading(True, PARK, False, START)
