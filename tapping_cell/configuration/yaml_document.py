@@ -104,6 +104,9 @@ class _Document:
         value = self._value(next(self._events), 0)
         next(self._events)  # end of the document
         after = next(self._events)
+        if isinstance(after, yaml.DocumentStartEvent) and _is_empty(next(self._events)):
+            next(self._events)  # end of the empty document after a last line "---"
+            after = next(self._events)
         if not isinstance(after, yaml.StreamEndEvent):
             raise _error("a second document begins here; keep one document in a file", after)
         return value
@@ -201,6 +204,10 @@ def _scalar(event: Any) -> Any:
                 event,
             )
     return text
+
+
+def _is_empty(event: Any) -> bool:
+    return isinstance(event, yaml.ScalarEvent) and event.value == "" and event.implicit[0]
 
 
 def _unknown_tag(event: Any) -> YamlError:

@@ -92,6 +92,12 @@ def test_a_typing_mistake_is_named_with_line_and_remedy(text: str, words: str) -
         parse_yaml(text)
 
 
+def test_a_last_line_that_begins_an_empty_document_is_ignored() -> None:
+    assert parse_yaml("a: 1\n---\n") == {"a": 1}  # as ``ros2 topic echo`` prints
+    with pytest.raises(YamlError, match="a second document begins here"):
+        parse_yaml("a: 1\n---\n---\n")
+
+
 def test_lists_with_consistent_commas_are_read() -> None:
     assert parse_yaml("[1,2,3]") == [1, 2, 3] == parse_yaml("[1, 2, 3]")
     assert parse_yaml("[0.1,0.2, 0.3]") == [0.1, 0.2, 0.3]
