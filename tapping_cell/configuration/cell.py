@@ -521,6 +521,10 @@ class ArmSection:
                 f"arm.ros2_control.chain.urdf {chain.urdf}: cannot be read ({error.strerror}); "
                 "give the path of the URDF file, relative to this file"
             ) from error
+        except UnicodeDecodeError as error:
+            raise ValueError(
+                f"arm.ros2_control.chain.urdf {chain.urdf}: is not UTF-8 text; save it as UTF-8"
+            ) from error
         except ValueError as error:
             raise ValueError(f"arm.ros2_control.chain.urdf {chain.urdf}: {error}") from error
 

@@ -52,6 +52,12 @@ def parse_yaml(text: str) -> Any:
     """
     if conflict := conflict_hint(text):
         raise YamlError(f"malformed YAML: {conflict}")
+    if found := re.search("[\x85\u2028\u2029]", text):
+        raise YamlError(
+            f"malformed YAML: line {text.count(chr(10), 0, found.start()) + 1} contains the "
+            f"character U+{ord(found[0]):04X}, which is a new line for some programs only; delete "
+            "it, or begin a new line there"
+        )
     if re.search("^%YAML:", text, re.MULTILINE):
         raise YamlError(
             "the line %YAML:1.0 is that of OpenCV's cv::FileStorage; delete this line and each "
@@ -145,6 +151,8 @@ class _Document:
             key = self._value(event, depth + 1)
             if key is None or isinstance(key, (list, dict)):
                 raise _error("a key must be a word or a number", event)
+            if key == "<<":
+                raise _error("the merge key << is not supported; write the merged keys here", event)
             if key in values:
                 first = f"the key '{key}' appears twice, first in line {lines[key]}"
                 raise _error(f"{first}; delete one of them", event)

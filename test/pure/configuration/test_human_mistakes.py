@@ -144,6 +144,12 @@ MISTAKES = [
     (SIX, "urdf: six", "urdf: package://arm/six", "the path of the URDF file, relative to this f"),
     (CELL, "angle_noise: 0.0009", "angle_noise: 0.05", "if the value is in deg, write 0.000872665"),
     (CELL, "port: ~/.ros/tapping_cell/{cell}/arm", "port: ttyUSB0", "write /dev/ttyUSB0 if it is"),
+    (
+        CAMERA,
+        "cols: 5\n  data: [-0.12, ",
+        "cols: 8\n  data: [0, 0, 0, -0.12, ",
+        "rational_polynomial",
+    ),
     (CELL, CURVE, f"energies: {SPEEDS}\n  speeds: {ENERGIES}", "seem to be exchanged"),
     (CELL, "\ncamera:\n", "\nkeep_outs:\n  circles: [0.2, 0.1, 0.03]\n\ncamera:\n", "in brackets"),
     (
