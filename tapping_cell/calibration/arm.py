@@ -15,7 +15,7 @@ tool. Therefore neither of these two offsets is fitted.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -150,30 +150,38 @@ def calibrate_arm(
 
     Raises:
         CalibrationRefused: there are too few poses, they do not determine the base pose, or the
-            rows do not fit. If the rows fit after two columns are exchanged, the message says so.
+            rows do not fit. If the rows fit after two columns are exchanged, or after the sign
+            of a column is changed, the message says so.
     """
     try:
         return _calibrate(record, geometry, links)
     except RowsDoNotFit as error:
-        for first, second in _EXCHANGES:
+        for changed, words in _slips(record):
             try:
-                result = _calibrate(_exchanged(record, first, second), geometry, links)
+                result = _calibrate(changed, geometry, links)
             except CalibrationRefused:
                 continue
             raise CalibrationRefused(
-                f"the rows fit only after the columns {first} and {second} are exchanged (then "
-                f"they deviate by {1e3 * result.position_rms:.2f} mm); exchange their names in the "
-                "header"
+                f"the rows fit only after {words} (then they deviate by "
+                f"{1e3 * result.position_rms:.2f} mm); correct the record"
             ) from error
         raise
 
 
-def _exchanged(record: ArmRecord, first: str, second: str) -> ArmRecord:
-    """Return the record with two of its columns exchanged."""
+def _slips(record: ArmRecord) -> Iterator[tuple[ArmRecord, str]]:
+    """Yield the record after each likely mistake is undone, and what was done."""
     table = np.hstack([record.joints, record.points])
-    columns = [_COLUMNS.index(first), _COLUMNS.index(second)]
-    table[:, columns] = table[:, columns[::-1]]
-    return replace(record, joints=table[:, :3], points=table[:, 3:])
+    for names in _EXCHANGES:
+        columns = [_COLUMNS.index(name) for name in names]
+        changed = table.copy()
+        changed[:, columns] = table[:, columns[::-1]]
+        words = f"the columns {names[0]} and {names[1]} are exchanged"
+        yield replace(record, joints=changed[:, :3], points=changed[:, 3:]), words
+    for column, name in enumerate(_COLUMNS):
+        changed = table.copy()
+        changed[:, column] *= -1.0
+        words = f"the sign of the column {name} is changed"
+        yield replace(record, joints=changed[:, :3], points=changed[:, 3:]), words
 
 
 def _calibrate(record: ArmRecord, geometry: ScaraGeometry, links: bool) -> ArmCalibration:

@@ -29,7 +29,7 @@ from tapping_cell.se2 import Array
 
 UNITS: dict[str, dict[str, float]] = {
     "": {},
-    "m": {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "um": 1e-6},
+    "m": {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "um": 1e-6, "in": 0.0254},
     "rad": {"rad": 1.0, "deg": math.pi / 180.0, "mrad": 1e-3},
     "m/s": {"m_s": 1.0, "mm_s": 1e-3, "cm_s": 1e-2},
     "rad/s": {"rad_s": 1.0, "deg_s": math.pi / 180.0},
@@ -69,6 +69,10 @@ _ARCHIVES = (b"PK\x03\x04", b"\xd0\xcf\x11\xe0")
 _MOST = 0.3
 """Maximum fraction of rows out of range, and of rows with damaged numbers; above this fraction, the
 whole file is rejected."""
+
+
+_COPIED = 8
+"""Number of successive rows that measurements do not repeat."""
 
 
 class RecordError(ValueError):
@@ -166,6 +170,8 @@ def read_csv(
     if missing:
         wanted = ", ".join(_described(c) for c in columns if c.name in missing)
         for verb, names in RECORDS.items():
+            if set(missing) & set(names):
+                continue
             if all(any(h == name or h.startswith(f"{name}_") for h in header) for name in names):
                 raise RecordError(
                     f"{path}: no column {', '.join(missing)}; with {', '.join(names)} in its "
@@ -176,6 +182,7 @@ def read_csv(
             f" {', '.join(header)}. Add {wanted or ', '.join(missing)}"
         )
     _check_names(path, header, columns, (*texts, *optional_texts))
+    _check_copied(path, lines[1:])
     tables: list[tuple[str, CsvTable]] = []
     refusals: list[RecordError] = []
     for mark in _decimal_marks(path, lines, places, set(text_columns.values()), separator):
@@ -287,7 +294,10 @@ def _lines(
             continue
         header = read[0][1]
         named = [any(name in header for name in column.headers()) for column in columns]
-        complete = all(n or not c.required for n, c in zip(named, columns, strict=True))
+        complete = _names_all(header, columns)
+        title = next((row for row, cells in read[1:] if _names_all(cells, columns)), 0)
+        if title and not complete:
+            raise RecordError(f"{path}: row {title} names the columns; delete the lines above it")
         whole = sum(len(row) == len(header) for _, row in read)
         known = sum(named) + sum(name in header for name in texts)
         readings.append(((complete, known, whole, len(header)), separator, read))
@@ -302,6 +312,11 @@ def _lines(
                 f"separator in a first line, such as sep={separator}"
             )
     return separator, read
+
+
+def _names_all(cells: Sequence[str], columns: Sequence[Column]) -> bool:
+    """Return whether the cells of a line name all required columns."""
+    return all(set(column.headers()) & set(cells) for column in columns if column.required)
 
 
 def _split(
@@ -439,6 +454,22 @@ def _check_names(
                 raise RecordError(
                     f"{path}: the column {name!r} would be ignored; name it {_described(column)}"
                 )
+
+
+def _check_copied(path: Path, rows: Sequence[tuple[int, list[str]]]) -> None:
+    """Raise RecordError if successive rows appear twice, as after pasting them twice: the fitted
+    values would seem more certain than they are."""
+    seen: dict[tuple[tuple[str, ...], ...], int] = {}
+    for index in range(len(rows) - _COPIED + 1):
+        block = tuple(tuple(cells) for _, cells in rows[index : index + _COPIED])
+        first = seen.setdefault(block, index)
+        if index - first >= _COPIED:
+            (a, _), (b, _) = rows[first], rows[first + _COPIED - 1]
+            (c, _), (d, _) = rows[index], rows[index + _COPIED - 1]
+            raise RecordError(
+                f"{path}: rows {c} to {d} repeat rows {a} to {b}; delete the rows that were pasted "
+                "twice"
+            )
 
 
 def _described(column: Column) -> str:

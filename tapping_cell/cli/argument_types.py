@@ -60,15 +60,17 @@ def finite(text: str) -> float:
     return number
 
 
-def within(lowest: float, highest: float) -> Callable[[str], float]:
-    """Return a parser of finite numbers between two limits."""
+def within(lowest: float, highest: float, unit: str = "") -> Callable[[str], float]:
+    """Return a parser of finite numbers between two limits, in a unit (mm, g or any other)."""
 
     def number(text: str) -> float:
         value = finite(text)
         if not lowest <= value <= highest:
-            raise argparse.ArgumentTypeError(
-                f"{text} is outside its limits {lowest:g} to {highest:g}"
-            )
+            limits = f"{text} is outside its limits {lowest:g} to {highest:g} {unit}".strip()
+            larger = {"mm": "m", "g": "kg"}.get(unit)
+            if larger and lowest <= 1e3 * value <= highest:
+                limits += f"; if the value is in {larger}, write {1e3 * value:g}"
+            raise argparse.ArgumentTypeError(limits)
         return value
 
     return number

@@ -33,6 +33,7 @@ from tapping_cell.cli.errors import print_error
 from tapping_cell.cli.graph import HARDWARE, RECORDER, SIMULATED
 from tapping_cell.configuration.cell import CellFile, load_cell
 from tapping_cell.configuration.conflicts import conflicts
+from tapping_cell.configuration.layout_file import LayoutFile
 from tapping_cell.configuration.objects import ObjectFile, load_object
 from tapping_cell.configuration.problems import problems_of
 from tapping_cell.configuration.schema import ConfigurationError, read_yaml
@@ -51,6 +52,7 @@ SECTIONS: dict[str, type] = {
     "table": TableFile,
     "object": ObjectFile,
     "truth": TruthFile,
+    "layout": LayoutFile,
 }
 CAMERA_INFO, PARAMETERS = "camera_info", "parameters"
 CAMERA_KEYS = {

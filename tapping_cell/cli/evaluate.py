@@ -424,6 +424,16 @@ def make_evaluation(arguments: argparse.Namespace, planner: str) -> Evaluation:
     if tasks == []:
         tasks = LARGE_TASKS if arguments.table else DEFAULT_TASKS
     x, y, theta = arguments.goal
+    if (
+        tasks is None
+        and math.hypot(x, y) <= arguments.tolerance[0]
+        and (abs(theta) <= arguments.tolerance[1])
+    ):
+        raise PlanningError(
+            f"--goal {x:g} {y:g} {theta:g} (mm, mm, degrees) is within --tolerance of the start, "
+            "so that no tap is needed; if it is in m and rad, write "
+            f"{1e3 * x:g} {1e3 * y:g} {math.degrees(theta):.4g}"
+        )
     unknown = _unknown(arguments.unknown)
     return Evaluation(
         planner=planner,
@@ -618,6 +628,9 @@ def _text(planner: str, figures: dict[str, Any]) -> str:
         f"  truly inside      {share_text(figures['truly_inside'], figures['done'])} of the trials "
         "done",
         f"  stopping box      {box['distance_mm']:.3f} mm, {box['rotation_deg']:.3f} degrees",
+        "  assumed scatter   {:g} % of the distance, {:g} % of the rotation, {:g} degrees".format(
+            *figures["inputs"]["scatter"]
+        ),
     ]
     if not box["camera_suffices"]:
         lines.append(

@@ -88,6 +88,10 @@ def run(arguments: argparse.Namespace) -> int:
                     f"{path} is not a run: skipped", highlight=False, markup=False, soft_wrap=True
                 )
                 continue
+            inner = _runs_in(path)
+            if inner:
+                print_error(f"{path} is no run folder, but contains {len(inner)}; give {path}/*")
+                continue
             try:
                 reports.append(write_report(path, None if several else arguments.output))
             except (BagError, RunError, OSError) as error:
@@ -148,6 +152,13 @@ def no_run(path: Path) -> bool:
     if path.is_file():
         return path.suffix != ".mcap"
     return _is_run_folder(path) and not any((path / name).exists() for name in (BAG, SUMMARY))
+
+
+def _runs_in(path: Path) -> list[Path]:
+    """Return the runs in a folder that is none itself."""
+    if not path.is_dir() or not no_run(path):
+        return []
+    return [one for one in path.iterdir() if one.is_dir() and not no_run(one)]
 
 
 def write_report(path: Path, output: Path | None) -> tuple[Run, Path]:

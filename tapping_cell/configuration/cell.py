@@ -516,7 +516,16 @@ class ArmSection:
                 pose_matrix(chain.mount),
                 pose_matrix(chain.tool),
             )
-        except (OSError, ValueError) as error:
+        except OSError as error:
+            raise ValueError(
+                f"arm.ros2_control.chain.urdf {chain.urdf}: cannot be read ({error.strerror}); "
+                "give the path of the URDF file, relative to this file"
+            ) from error
+        except UnicodeDecodeError as error:
+            raise ValueError(
+                f"arm.ros2_control.chain.urdf {chain.urdf}: is not UTF-8 text; save it as UTF-8"
+            ) from error
+        except ValueError as error:
             raise ValueError(f"arm.ros2_control.chain.urdf {chain.urdf}: {error}") from error
 
     def controller_needs(self) -> ControllerNeeds:
@@ -707,6 +716,13 @@ class TapperSection:
             (0.5 * self.mass * speed**2 / energy, energy, speed) for energy, speed in curve.table
         )
         if ratio < LEAST_ENERGY:
+            other = max(0.5 * self.mass * e**2 / v if v else 0.0 for e, v in curve.table)
+            if LEAST_ENERGY <= other <= MOST_ENERGY:
+                raise ValueError(
+                    "the lists 'tapper.energies' (J) and 'tapper.speeds' (m/s) seem to be "
+                    f"exchanged: otherwise only {100 * ratio:.2g} % of the charged energy would "
+                    "become motion"
+                )
             raise ValueError(
                 f"at {speed:g} m/s ('tapper.speeds') a striker of {self.mass:g} kg "
                 f"('tapper.mass') has m v^2 / 2 = {500 * self.mass * speed**2:.4g} mJ, only "
@@ -829,7 +845,7 @@ class CameraSection:
     position_noise: float = quantity(
         "standard deviation of a measured position along each axis", "m", 0.0, 0.01
     )
-    angle_noise: float = quantity("standard deviation of a measured angle", "rad", 0.0, 0.1)
+    angle_noise: float = quantity("standard deviation of a measured angle", "rad", 0.0, 0.02)
 
 
 @dataclass(frozen=True, slots=True)

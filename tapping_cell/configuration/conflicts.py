@@ -19,7 +19,7 @@ from tapping_cell.configuration.assembly import (
 from tapping_cell.configuration.cell import LONGEST_FLIGHT_S, Cell, load_further_objects
 from tapping_cell.configuration.chain_reach import chain_reach
 from tapping_cell.configuration.schema import ConfigurationError
-from tapping_cell.hardware.port_names import device_of, is_windows_name, port_problem
+from tapping_cell.hardware.port_names import device_of, is_foreign, port_problem
 from tapping_cell.mechanics import MechanicsError
 from tapping_cell.planning import FreeSpace, PlanningError, make_planner, planner_names
 from tapping_cell.planning.coverage import coverage
@@ -28,6 +28,9 @@ from tapping_cell.planning.free_space import WIDEST_GAP
 MIN_TAPPABLE = 0.5
 """A warning is reported if the arm can tap objects in less than this fraction of the usable
 area."""
+FASTEST_ARM, STRONGEST_ARM = 20.0, 200.0
+"""Maximum speed, m/s, and acceleration, m/s^2, of the end of an arm that turns about its shoulder:
+twice those of fast arms. Larger values are probably in degrees."""
 NOISE_MARGIN = 3.0
 """Number of standard deviations of the measured pose that should fit into the tolerance."""
 
@@ -38,10 +41,10 @@ def conflicts(cell: Cell) -> tuple[list[str], list[str]]:
     if cell.file.fixed_tappers is not None:
         errors = [*_markers(cell), *_fixed_tappers(cell), *_further_objects(cell)]
         errors += port_errors(cell)
-        return errors, [*_noise(cell), *_missing_ports(cell)]
+        return errors, [*_noise(cell), *_missing_ports(cell), *_channels(cell)]
     errors = [*_markers(cell), *_heights(cell), *_joints(cell), *_curve(cell), *_planner(cell)]
-    errors += [*_further_objects(cell), *port_errors(cell)]
-    warnings = [*_noise(cell), *_missing_ports(cell), *_brake(cell)]
+    errors += [*_too_fast(cell), *_further_objects(cell), *port_errors(cell)]
+    warnings = [*_noise(cell), *_missing_ports(cell), *_brake(cell), *_placing(cell)]
     reach_errors, reach_warnings = _reach(cell)
     return errors + reach_errors, [*warnings, *reach_warnings, *chain_reach(cell)]
 
@@ -131,6 +134,61 @@ def _joints(cell: Cell) -> Iterator[str]:
                     f"{cell.path}: key 'arm.{name}[{index}]' is {value:g}, outside the joint's "
                     f"limits {low:g} to {high:g} ('arm.lower', 'arm.upper'); correct one of them"
                 )
+
+
+def _too_fast(cell: Cell) -> Iterator[str]:
+    """Compare speed and acceleration of the stretched arm about its shoulder with those of arms."""
+    arm = cell.arm
+    reach = arm.upper_arm + arm.forearm
+    own = arm.ros2_control
+    chain = own.chain.max_acceleration[:1] if own and own.chain else ()
+    for key, values, limit, unit in (
+        ("arm.max_speed", arm.max_speed[:1], FASTEST_ARM, "/s"),
+        ("arm.max_acceleration", arm.max_acceleration[:1], STRONGEST_ARM, "/s^2"),
+        ("arm.ros2_control.chain.max_acceleration", chain, STRONGEST_ARM, "/s^2"),
+    ):
+        for value in values:
+            if value * reach > limit:
+                yield (
+                    f"{cell.path}: key '{key}[0]' is {value:g} rad{unit}, which would move the "
+                    f"end of the stretched arm with {value * reach:.0f} m{unit} (limit {limit:g}); "
+                    f"if the values are in deg{unit}, write {math.radians(value):.4g} here"
+                )
+
+
+def _placing(cell: Cell) -> Iterator[str]:
+    """Look for a usual place of the table's markers and of the arm's base."""
+    table = cell.file.table
+    inside = [
+        str(marker.id)
+        for marker in cell.references.markers
+        if abs(marker.x) < table.length / 2 and abs(marker.y) < table.width / 2
+    ]
+    if inside:
+        yield (
+            f"{cell.path}: the reference markers {', '.join(inside)} lie in the usable area of "
+            f"{1e3 * table.length:.0f} mm along x and {1e3 * table.width:.0f} mm along y, where "
+            "objects can cover them; check that 'table.length' and 'table.width' are not exchanged"
+        )
+    base = cell.arm_base
+    towards = math.atan2(-base.y, -base.x)
+    if math.cos(towards - base.theta) < 0.0:
+        yield (
+            f"{cell.path}: key 'arm.base[2]' is {base.theta:.4g} rad, with which the arm in its "
+            "zero position points away from the middle of the table (towards it: "
+            f"{towards:.4g}); check its sign"
+        )
+
+
+def _channels(cell: Cell) -> Iterator[str]:
+    for board in cell.boards:
+        used = sorted(board.channels.values())
+        if len(used) > 1 and used == list(range(1, len(used) + 1)):
+            yield (
+                f"{cell.path}: the tappers of {board.port} have the channels 1 to {used[-1]}, "
+                "but boards number their channels from 0; if you have counted from 1, subtract 1 "
+                "from each 'channel'"
+            )
 
 
 def _curve(cell: Cell) -> Iterator[str]:
@@ -282,8 +340,8 @@ def _noise(cell: Cell) -> Iterator[str]:
                 f"{cell.path}: key 'goal.{name}_tolerance' is {factor * limit:.3g} {unit}, "
                 f"less than {NOISE_MARGIN:g} standard deviations of a measurement "
                 f"('camera.{name}_noise', {factor * spread:.3g} {unit}): the cell may "
-                "never measure a goal as reached; increase the tolerance, or measure more "
-                "accurately (a nearer or better camera, a larger marker)"
+                "never measure a goal as reached; check the units (m, rad), increase the "
+                "tolerance, or measure more accurately (a nearer or better camera, a larger marker)"
             )
 
 
@@ -314,7 +372,7 @@ def port_errors(cell: Cell) -> list[str]:
     found = []
     devices: dict[str, tuple[str, list[str]]] = {}
     for port, names in _ports_by_name(cell).items():
-        if is_windows_name(port):
+        if is_foreign(port):
             found.append(f"{cell.path}: the port {port} of {', '.join(names)} {port_problem(port)}")
             continue
         if "arm" in names and len(names) > 1:
@@ -334,5 +392,5 @@ def port_errors(cell: Cell) -> list[str]:
 
 def _missing_ports(cell: Cell) -> Iterator[str]:
     for port, names in _ports_by_name(cell).items():
-        if not is_windows_name(port) and (problem := port_problem(port)):
+        if not is_foreign(port) and (problem := port_problem(port)):
             yield f"{cell.path}: the port {port} of {', '.join(names)} {problem}"

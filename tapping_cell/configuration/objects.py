@@ -22,7 +22,7 @@ from tapping_cell.configuration.schema import (
 )
 from tapping_cell.mechanics import Disk, Impact, Polygon, Ring, Sliding, Striker, Tap
 from tapping_cell.vision import Dot, ObjectMarker, ObjectOutline
-from tapping_cell.vision.outline.shape import centroid
+from tapping_cell.vision.outline.shape import centroid, signed_area
 
 GRAVITY = 9.81
 """Standard acceleration of gravity in m/s^2, rounded because the coefficients of friction are less
@@ -36,10 +36,16 @@ ROUND_POINTS = 72
 class ShapeSection:
     """Outline of the object in the object frame, whose origin is the centre of mass."""
 
-    kind: str = choice("type of the outline", "disk", "ring", "polygon")
+    kind: str = choice(
+        "type of the outline; a square or rectangle is a polygon", "disk", "ring", "polygon"
+    )
     radius: float | None = quantity("outer radius of a disk or ring", "m", 0.002, 0.5, default=None)
     vertices: tuple[tuple[float, float], ...] | None = quantity(
-        "corners of a convex polygon, counter-clockwise", "m", -0.5, 0.5, default=None
+        "corners of a convex polygon, in their order along the outline",
+        "m",
+        -0.5,
+        0.5,
+        default=None,
     )
 
     def __post_init__(self) -> None:
@@ -51,6 +57,8 @@ class ShapeSection:
             raise ValueError(
                 f"the key 'shape.{surplus}' does not apply to a {self.kind}; remove it"
             )
+        if self.vertices and signed_area(np.array(self.vertices)) < 0.0:
+            object.__setattr__(self, "vertices", self.vertices[::-1])
 
     def reach(self) -> float:
         """Return the largest distance of the outline from the object's origin, m."""
@@ -280,7 +288,7 @@ class ScatterSection:
         "standard deviation of the direction in which a tap moves the object",
         "rad",
         0.0,
-        0.5,
+        0.3,
         default=math.radians(1.0),
     )
     position_floor: float = position_floor_key()
@@ -295,7 +303,9 @@ class ObjectFile:
     shape: ShapeSection = section("outline of the object")
     mass: float = quantity("mass of the object", "kg", 0.001, 100.0)
     height: float = quantity("height of the top above the table", "m", 0.0005, 0.5)
-    friction: float = quantity("coefficient of friction with the table", "", 0.01, 2.0)
+    friction: float = quantity(
+        "coefficient of friction with the table (tangent of the friction angle)", "", 0.01, 2.0
+    )
     torque_factor: float = quantity(
         "factor by which the torque of the friction with the table is scaled (Huang and Mason)",
         "",

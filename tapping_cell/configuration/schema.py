@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import re
 import types
 import typing
 from collections.abc import Mapping, Sequence
@@ -324,9 +323,13 @@ def _hint(value: Any, wanted: str, limits: Limits) -> str:
             known = {"yes": "true", "on": "true", "no": "false", "off": "false"}
             return f"; write {known[word]}" if word in known else ""
         if wanted.startswith("a list"):
-            return "; put the entries in brackets: [...]" if re.search("[0-9], ", value) else ""
+            return "; put the entries in brackets: [...]"
         return number_hint(value, limits.unit) if limits.numeric else character_hint(value)
+    if isinstance(value, Mapping) and wanted.startswith("a list"):
+        return "; begin each entry with '- '"
     if isinstance(value, (int, float)) and not isinstance(value, bool):
+        if wanted.startswith("a list"):
+            return "; put the numbers that belong together in brackets: [...]"
         if wanted.startswith("a text"):
             return "; put it in quotes"
         if isinstance(value, float) and wanted == "a whole number" and value.is_integer():

@@ -175,7 +175,7 @@ def check_camera(camera: CameraModel) -> None:
         fits = 2.0 * camera.cx + 1.0, 2.0 * camera.cy + 1.0
         remedy = "correct image_width and image_height, or calibrate the camera at this resolution"
         if max(abs(fits[0] / camera.height - 1.0), abs(fits[1] / camera.width - 1.0)) < 0.1:
-            remedy = "image_width and image_height seem to be exchanged"
+            remedy = "image_width and image_height, or cx and cy, seem to be exchanged"
         raise ValueError(
             f"key 'camera_matrix': the principal point ({camera.cx:.1f}, {camera.cy:.1f}) lies at "
             f"{100 * column:.0f} % of the image's width and {100 * row:.0f} % of its height, but "
@@ -210,7 +210,11 @@ def check_camera(camera: CameraModel) -> None:
 
 def _entry(mapping: dict[str, Any], key: str, within: str = "") -> Any:
     if key not in mapping:
-        raise ValueError(f"key '{within}{key}' of a camera_info file is missing")
+        raise ValueError(
+            f"key '{within}{key}' of a camera_info file is missing; write the file with `calibrate "
+            "camera` or ROS's camera_calibration, or name the values as in the package's "
+            f"camera_info.yaml (the keys here are {', '.join(map(str, mapping))})"
+        )
     return mapping[key]
 
 
@@ -230,6 +234,8 @@ def _numbers(document: dict[str, Any], key: str) -> list[float]:
     data = _entry(matrix, "data", f"{key}.")
     if not isinstance(data, list):
         raise ValueError(f"key '{key}.data' is {data!r}, but must be a list of numbers")
+    if any(isinstance(value, list) for value in data):
+        raise ValueError(f"key '{key}.data' contains lists; write all its numbers in one list")
     rows, columns = (matrix.get(name, 0) for name in ("rows", "cols"))
     if isinstance(rows, int) and isinstance(columns, int) and rows * columns not in (0, len(data)):
         raise ValueError(

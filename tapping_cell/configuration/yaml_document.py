@@ -52,6 +52,12 @@ def parse_yaml(text: str) -> Any:
     """
     if conflict := conflict_hint(text):
         raise YamlError(f"malformed YAML: {conflict}")
+    if found := re.search("[\x85\u2028\u2029]", text):
+        raise YamlError(
+            f"malformed YAML: line {text.count(chr(10), 0, found.start()) + 1} contains the "
+            f"character U+{ord(found[0]):04X}, which is a new line for some programs only; delete "
+            "it, or begin a new line there"
+        )
     if re.search("^%YAML:", text, re.MULTILINE):
         raise YamlError(
             "the line %YAML:1.0 is that of OpenCV's cv::FileStorage; delete this line and each "
@@ -104,6 +110,9 @@ class _Document:
         value = self._value(next(self._events), 0)
         next(self._events)  # end of the document
         after = next(self._events)
+        if isinstance(after, yaml.DocumentStartEvent) and _is_empty(next(self._events)):
+            next(self._events)  # end of the empty document after a last line "---"
+            after = next(self._events)
         if not isinstance(after, yaml.StreamEndEvent):
             raise _error("a second document begins here; keep one document in a file", after)
         return value
@@ -142,6 +151,8 @@ class _Document:
             key = self._value(event, depth + 1)
             if key is None or isinstance(key, (list, dict)):
                 raise _error("a key must be a word or a number", event)
+            if key == "<<":
+                raise _error("the merge key << is not supported; write the merged keys here", event)
             if key in values:
                 first = f"the key '{key}' appears twice, first in line {lines[key]}"
                 raise _error(f"{first}; delete one of them", event)
@@ -201,6 +212,10 @@ def _scalar(event: Any) -> Any:
                 event,
             )
     return text
+
+
+def _is_empty(event: Any) -> bool:
+    return isinstance(event, yaml.ScalarEvent) and event.value == "" and event.implicit[0]
 
 
 def _unknown_tag(event: Any) -> YamlError:

@@ -15,8 +15,12 @@ def device_of(port: str) -> str:
     return os.path.realpath(Path(port).expanduser())
 
 
-def is_windows_name(port: str) -> bool:
-    """Return whether a port has a name of Windows, such as COM3."""
+def is_foreign(port: str) -> bool:
+    """Return whether a port has a name of Windows, such as COM3, or lacks its folder."""
+    return _is_windows_name(port) or not Path(port).expanduser().is_absolute()
+
+
+def _is_windows_name(port: str) -> bool:
     return re.fullmatch(r"(\\\\\.\\)?COM\d+:?", port, re.IGNORECASE) is not None
 
 
@@ -25,12 +29,14 @@ def port_problem(port: str, links: Path = BY_ID) -> str:
     exists."""
     present = sorted(str(link) for link in links.iterdir()) if links.is_dir() else []
     choice = f"connected are {', '.join(present)}" if present else f"{links} lists no device"
-    if is_windows_name(port):
+    if _is_windows_name(port):
         return (
             f"is a name of Windows; give the device's name on Linux, such as {links}/... ({choice})"
         )
     if Path(port).expanduser().exists():
         return ""
+    if not Path(port).expanduser().is_absolute():
+        return f"is not a full path; write /dev/{port} if it is a device ({choice})"
     if Path(port).parent == links:
         return (
             f"is not connected: plug the device in and switch it on; if its adapter was "

@@ -64,9 +64,11 @@ class CameraModel:
         lengths = _LENGTHS[self.distortion_model]
         if len(self.distortion) not in lengths:
             allowed = f"{', '.join(map(str, lengths[:-1]))} or {lengths[-1]}"
+            fitting = [m for m, own in _LENGTHS.items() if len(self.distortion) in own]
+            remedy = f"if the model is {fitting[0]}, name it so" if fitting else "calibrate again"
             raise CameraError(
                 f"{self.distortion_model} takes {allowed} coefficients, but "
-                f"{len(self.distortion)} are given; calibrate again, or correct them"
+                f"{len(self.distortion)} are given; correct them, or {remedy}"
             )
         numbers = (self.fx, self.fy, self.cx, self.cy, *self.distortion)
         if not np.all(np.isfinite(numbers)):

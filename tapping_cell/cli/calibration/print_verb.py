@@ -76,7 +76,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--square-size",
-        type=argument_types.within(*SIDES_MM),
+        type=argument_types.within(*SIDES_MM, "mm"),
         default=25.0,
         metavar="MM",
         help="side length of the target's squares in mm (default: 25)",
@@ -93,7 +93,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--marker-size",
-        type=argument_types.within(*SIDES_MM),
+        type=argument_types.within(*SIDES_MM, "mm"),
         default=30.0,
         metavar="MM",
         help="side length of the reference markers in mm (default: 30)",
@@ -106,7 +106,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--object-size",
-        type=argument_types.within(*SIDES_MM),
+        type=argument_types.within(*SIDES_MM, "mm"),
         default=50.0,
         metavar="MM",
         help="side length of the object markers in mm (default: 50)",

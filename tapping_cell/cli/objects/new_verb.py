@@ -34,14 +34,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--name", required=True, help="display name of the object")
     parser.add_argument(
         "--height",
-        type=argument_types.within(0.5, 500.0),
+        type=argument_types.within(0.5, 500.0, "mm"),
         required=True,
         metavar="MM",
         help="height of the object's top above the table in mm",
     )
     parser.add_argument(
         "--mass",
-        type=argument_types.within(1.0, 100_000.0),
+        type=argument_types.within(1.0, 100_000.0, "g"),
         metavar="G",
         help="mass in g (default: estimated from the volume, assuming plastic)",
     )

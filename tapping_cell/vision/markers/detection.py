@@ -90,7 +90,8 @@ def marker_pattern(dictionary: str, marker_id: int) -> NDArray[np.bool_]:
     count = len(book.bytesList)
     if not 0 <= marker_id < count:
         raise MarkerError(
-            f"marker id {marker_id} is out of range for {dictionary} (0 to {count - 1})"
+            f"marker id {marker_id} is out of range for {dictionary} (0 to {count - 1}); correct "
+            "the id or the dictionary"
         )
     modules = book.markerSize + 2
     return np.asarray(aruco.draw_marker(book, marker_id, modules) > 127)

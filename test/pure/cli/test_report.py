@@ -86,5 +86,7 @@ def test_an_invalid_run_folder_is_refused_with_a_message(runs, tmp_path, capsys)
     assert main(["report", str(tmp_path / "nowhere")]) == 2
     (tmp_path / "text.mcap").write_text("hello")
     assert main(["report", str(tmp_path / "text.mcap"), str(runs / "good")]) == 1
+    assert main(["report", str(runs)]) == 2
     result = " ".join(capsys.readouterr().err.split())
     assert "is this a run folder?" in result and "not an MCAP file" in result
+    assert f"{runs} is no run folder, but contains 3; give {runs}/*" in result

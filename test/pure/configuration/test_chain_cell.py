@@ -71,3 +71,11 @@ def test_an_incompatible_description_is_refused_with_a_message(
 ) -> None:
     with pytest.raises(ConfigurationError, match=words):
         load_cell(cell_file(tmp_path, **changes))
+
+
+def test_a_description_that_is_not_utf_8_is_refused_with_the_remedy(tmp_path: Path) -> None:
+    path = cell_file(tmp_path)
+    description = path.with_name("six_axis_arm.urdf")
+    description.write_bytes(description.read_bytes() + "<!-- Prüfstand -->".encode("latin-1"))
+    with pytest.raises(ConfigurationError, match="is not UTF-8 text; save it as UTF-8"):
+        load_cell(path)

@@ -12,6 +12,8 @@ import pytest
 from tapping_cell.cli import main
 from tapping_cell.cli.check_config import check
 from tapping_cell.configuration.files import shared_folder
+from tapping_cell.configuration.objects import load_object
+from tapping_cell.vision.outline.shape import signed_area
 
 DISK, SQUARE = "objects/aluminium_disk.yaml", "objects/aluminium_square.yaml"
 CELL, TABLE, CAMERA = "cell.yaml", "table.yaml", "camera_info.yaml"
@@ -19,10 +21,13 @@ FIXED = "positioning_cell/cell.yaml"
 SIX, ARM = (f"../examples/six_axis_cell/{name}" for name in ("cell.yaml", "six_axis_arm.urdf"))
 EXAMPLES = Path(__file__).parents[3] / "examples"
 CORNERS = "[[-0.04, -0.04], [0.04, -0.04], [0.04, 0.04], [-0.04, 0.04]]"
+CLOCKWISE = "[[-0.04, 0.04], [0.04, 0.04], [0.04, -0.04], [-0.04, -0.04]]"
 CROSSED = "[[-0.04, -0.04], [0.04, -0.04], [-0.04, 0.04], [0.04, 0.04]]"
 BOW_TIE = "[[0.1, 0.1], [0.2, 0.2], [0.2, 0.1], [0.1, 0.2]]"
 LIMITS = "lower: [-2.3, -2.6, -0.148, -3.5]\n  upper: [2.3, 2.6, 0.0, 3.5]"
 ENERGIES = "[0.00002, 0.0005, 0.005, 0.05, 0.3125]"
+SPEEDS = "[0.02, 0.1, 0.3162278, 1.0, 2.5]"
+CURVE = f"energies: {ENERGIES}   # J: v = sqrt(2 E / m)\n  speeds: {SPEEDS}"
 SWAPPED = "lower: [2.3, 2.6, 0.0, 3.5]\n  upper: [-2.3, -2.6, -0.148, -3.5]"
 SIZE = "image_width: 1280\nimage_height: 1024"
 MATRIX = "[1150.0, 0.0, 639.5, 0.0, 1150.0, 511.5, 0.0, 0.0, 1.0]"
@@ -108,7 +113,7 @@ MISTAKES = [
         "line of travel of 'northeast' does not",
     ),
     (CAMERA, "image_width: 1280", "image_width: 640", "about 1280 x 1024 pixels, not 640 x 1024"),
-    (CAMERA, SIZE, "image_width: 1024\nimage_height: 1280", "height seem to be exchanged"),
+    (CAMERA, SIZE, "image_width: 1024\nimage_height: 1280", "image_width and image_height, or cx"),
     (
         CAMERA,
         MATRIX,
@@ -132,6 +137,40 @@ MISTAKES = [
     (DISK, "mass: 0.2455", "mass: 1.2.2026", "a spreadsheet has turned the number into a date"),
     (SQUARE, "[-0.04, 0.04]]", "[-0.04, 0.04], [-0.04, -0.04]]", "appears twice; delete it"),
     (CAMERA, "image_width", "%YAML:1.0\n---\nimage_width", "of OpenCV's cv::FileStorage"),
+    (CELL, "upper_arm: 0.425", "upper_arm: 16.73", "if the value is in inches, write 0.424942"),
+    (CELL, "max_speed: [2.0", "max_speed: [90", "in deg/s, write 1.571 here"),
+    (CELL, "max_acceleration: [8.0", "max_acceleration: [460", "in deg/s^2, write 8.029 here"),
+    (SIX, "max_acceleration: [6.0", "max_acceleration: [344", "in deg/s^2, write 6.004 here"),
+    (SIX, "urdf: six", "urdf: package://arm/six", "the path of the URDF file, relative to this f"),
+    (CELL, "angle_noise: 0.0009", "angle_noise: 0.05", "if the value is in deg, write 0.000872665"),
+    (CELL, "port: ~/.ros/tapping_cell/{cell}/arm", "port: ttyUSB0", "write /dev/ttyUSB0 if it is"),
+    (
+        CAMERA,
+        "cols: 5\n  data: [-0.12, ",
+        "cols: 8\n  data: [0, 0, 0, -0.12, ",
+        "rational_polynomial",
+    ),
+    (CELL, CURVE, f"energies: {SPEEDS}\n  speeds: {ENERGIES}", "seem to be exchanged"),
+    (CELL, "\ncamera:\n", "\nkeep_outs:\n  circles: [0.2, 0.1, 0.03]\n\ncamera:\n", "in brackets"),
+    (
+        CELL,
+        "\ntable:\n",
+        "\nobjects: objects/plexiglas_disk.yaml\n\ntable:\n",
+        "in brackets: [...]",
+    ),
+    (CELL, "\ntable:\n", "\nobjects:\n  disk: plexiglas_disk.yaml\n\ntable:\n", "entry with '- '"),
+    (TABLE, "APRILTAG_36h11", "4X4_50", "correct the id or the dictionary"),
+    (SQUARE, "kind: polygon", "kind: square", "a square or rectangle is a polygon"),
+    (DISK, "\nfriction: 0.17 ", "\nfriction: 9.6 ", "tangent of the friction angle"),
+    (DISK, "direction: 0.01745 ", "direction: 0.5 ", "if the value is in deg, write 0.00872665"),
+    (CAMERA, "639.5, 0.0, 1150.0, 511.5", "511.5, 0.0, 1150.0, 639.5", "or cx and cy, seem to be"),
+    (
+        CAMERA,
+        "image_width",
+        "width",
+        "name the values as in the package's camera_info.yaml (the ke",
+    ),
+    (CAMERA, MATRIX, "[[1150, 0, 639.5], [0, 1150, 511.5], [0, 0, 1]]", "its numbers in one list"),
 ]
 
 
@@ -198,6 +237,52 @@ def test_a_lens_with_the_third_radial_coefficient_before_the_tangential_ones_is_
     assert check(shared_folder() / CAMERA)[0].warnings == []
 
 
+NORTH = "0.47, -1.5707963]"
+SIZES = "length: 0.60\n  width: 0.44"
+
+
+@pytest.mark.parametrize(
+    ("file", "changes", "words"),
+    [
+        (CELL, {NORTH: "0.47, 1.5707963]"}, "points away from the middle of the table"),
+        (CELL, {SIZES: "length: 0.44\n  width: 0.60"}, "markers 102, 107 lie in the usable area"),
+        (FIXED, {f"channel: {k}": f"channel: {k + 1}" for k in (*range(7, -1, -1),)}, "from 0; if"),
+    ],
+)
+def test_a_mistake_that_may_be_meant_is_a_warning(
+    file: str, changes: dict[str, str], words: str, tmp_path: Path
+) -> None:
+    folder = tmp_path / "config"
+    shutil.copytree(shared_folder(), folder)
+    assert not any(words in sentence for sentence in check(folder / file)[0].warnings)
+    text = (folder / file).read_text(encoding="utf-8")
+    for old, new in changes.items():
+        assert old in text
+        text = text.replace(old, new)
+    (folder / file).write_text(text, encoding="utf-8")
+    found = check(folder / file)[0]
+    assert not found.errors
+    assert any(words in sentence for sentence in found.warnings), found.warnings
+
+
+def test_the_corners_of_a_polygon_may_be_clockwise(tmp_path: Path) -> None:
+    text = (shared_folder() / SQUARE).read_text(encoding="utf-8")
+    turned = tmp_path / "square.yaml"
+    turned.write_text(text.replace(CORNERS, CLOCKWISE), encoding="utf-8")
+    corners = load_object(turned).shape.outline()
+    assert set(corners) == set(load_object(shared_folder() / SQUARE).shape.outline())
+    assert signed_area(np.array(corners)) > 0.0
+
+
+def test_a_layout_file_is_recognised_and_its_units_are_checked(tmp_path: Path) -> None:
+    path = tmp_path / "layout.yaml"
+    path.write_text("goals: [{object: disk, pose: [0.05, 20, 90]}]\n", encoding="utf-8")
+    (found,) = check(path)
+    assert found.kind == "layout"
+    assert "'goals[0].pose[1]' is 20" in found.errors[0]
+    assert "if the value is in mm, write 0.02" in found.errors[0]
+
+
 def poses() -> list[list[float]]:
     """Return rows of a record for `calibrate arm`: joints in rad, then x and y in m."""
     generator = np.random.default_rng(3)
@@ -237,7 +322,16 @@ RECORDS = [
     ("arm", DATES, "a spreadsheet has turned the number into a date"),
     ("arm", "PK\x03\x04" + table(f"{JOINTS},x,y", poses()), "is a file of a spreadsheet program"),
     ("arm", "<<<<<<< HEAD\n" + table(f"{JOINTS},x,y", poses()), "line 1 is the marker <<<<<<<"),
+    ("arm", table(f"{JOINTS},x,y", poses() + poses()), "rows 26 to 33 repeat rows 2 to 9"),
+    (
+        "arm",
+        table(f"{JOINTS},x,y", [[s, -e, *rest] for s, e, *rest in poses()]),
+        "after the sign of the column elbow is changed",
+    ),
     ("tapper", table("energy,distance", taps()), ""),
+    ("tapper", table("energy,distance_in", [[e, d / 0.0254] for e, d in taps()]), ""),
+    ("tapper", table("energy,distance_ft", taps()), "no column distance; the header is energy, d"),
+    ("tapper", "Series 3,\n" + table("energy,distance", taps()), "delete the lines above it"),
     (
         "tapper",
         table("energy,distance", [[e, 100.0 * d] for e, d in taps()]),
@@ -268,6 +362,11 @@ ARGUMENTS = [
     (["goal", "50,5", "-20", "90"], "write a decimal point: 50.5"),
     (["demo", "--goal", "10", "20mm", "0"], "write the number without 'mm'"),
     (["evaluate", "--tolerance", "0.001", "0.02"], "if the value is in m, write 1"),
+    (["evaluate", "--goal", "0.01", "0", "0.17"], "if it is in m and rad, write 10 0 9.74"),
+    (
+        ["object", "new", "a.png", "--name", "a", "--height", "0.012", "--output", "o.yaml"],
+        "0.012 is outside its limits 0.5 to 500 mm; if the value is in m, write 12",
+    ),
     (["goal", "50", "-20", "90", "--tolerance", "0.001", "0.02"], "must be 0.01 to 100 mm"),
     (["goal", "--layout", "LAYOUT"], "'goals[0]' and 'goals[1]' are both for the object 'a'"),
 ]

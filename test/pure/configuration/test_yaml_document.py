@@ -85,11 +85,20 @@ def test_a_plain_value_follows_the_core_schema_of_yaml_1_2(written: str, value: 
         ("a:\n\tb: 1", "line 2, column 1: .*; indent with spaces, not with tabs"),
         ("a: 1\nb\u00a0: 2\nc 3\n", "line 3.*"),
         ("a: 1\na: 2", "line 2, column 1: the key 'a' appears twice"),
+        ("a: 1\n# two\u2028b: 2\n", r"line 2 contains the character U\+2028.*delete it"),
+        ("a: 1\n# two\x85b: 2\n", r"line 2 contains the character U\+0085.*delete it"),
+        ("a: &a {b: 1}\nc: {<<: *a}", "the merge key << is not supported; write the merged keys"),
     ],
 )
 def test_a_typing_mistake_is_named_with_line_and_remedy(text: str, words: str) -> None:
     with pytest.raises(YamlError, match=words):
         parse_yaml(text)
+
+
+def test_a_last_line_that_begins_an_empty_document_is_ignored() -> None:
+    assert parse_yaml("a: 1\n---\n") == {"a": 1}  # as ``ros2 topic echo`` prints
+    with pytest.raises(YamlError, match="a second document begins here"):
+        parse_yaml("a: 1\n---\n---\n")
 
 
 def test_lists_with_consistent_commas_are_read() -> None:
