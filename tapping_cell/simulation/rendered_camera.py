@@ -16,7 +16,6 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.interpolate import RectBivariateSpline
 
 from tapping_cell import se2
 from tapping_cell.simulation.camera_layers import (
@@ -523,13 +522,30 @@ def forget_shared() -> None:
 
 @lru_cache(maxsize=2)
 def _ray_map(camera: CameraModel) -> NDArray[np.float64]:
-    """Return the ray directions (height, width, 2) of all pixels. They are exact on a grid of 16
-    pixels and interpolated by splines between the grid points."""
-    step = 16
+    """Return the ray directions (height, width, 2) of all pixels. They are exact on a grid of 8
+    pixels and interpolated by cubic polynomials between the grid points."""
+    step = 8
     x = np.arange(-step, camera.width + 2 * step, step)
     y = np.arange(-step, camera.height + 2 * step, step)
     nodes = camera.rays(np.stack(np.meshgrid(x, y), axis=-1).astype(float))
-    rows, columns = np.arange(camera.height), np.arange(camera.width)
+    rows, columns = (_cubic_weights(grid, step) for grid in (y, x))
     return np.stack(
-        [RectBivariateSpline(y, x, nodes[..., i])(rows, columns) for i in (0, 1)], axis=-1
+        [(rows @ nodes[..., i] @ columns.T)[: camera.height, : camera.width] for i in (0, 1)],
+        axis=-1,
     )
+
+
+def _cubic_weights(nodes: NDArray[np.int_], step: int) -> NDArray[np.float64]:
+    """Return the matrix (pixels, nodes) that interpolates values at the nodes, of which the first
+    is at -``step``. The pixels go from 0 to the last node but two. SciPy's splines would take 40 MB
+    and 0.3 s."""
+    pixels = np.arange(step * (len(nodes) - 3))
+    cell, t = pixels // step, pixels % step / step
+    matrix = np.zeros((len(pixels), len(nodes)))
+    matrix[pixels, cell + np.arange(4)[:, None]] = (
+        -t * (t - 1) * (t - 2) / 6,
+        (t + 1) * (t - 1) * (t - 2) / 2,
+        -(t + 1) * t * (t - 2) / 2,
+        (t + 1) * t * (t - 1) / 6,
+    )
+    return matrix

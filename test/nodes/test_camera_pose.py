@@ -26,7 +26,7 @@ from tapping_cell.configuration.objects import load_object
 from tapping_cell.hardware.scara import Joints
 from tapping_cell.logic.poses import covariance_from_message
 from tapping_cell.nodes.camera import images
-from tapping_cell.nodes.camera.camera_pose import CameraPose
+from tapping_cell.nodes.camera.camera_pose import MAX_LATE, CameraPose
 from tapping_cell.nodes.camera.dropped_frames import LONGEST_WAIT_S
 from tapping_cell.nodes.camera.picture_publisher import PicturePublisher
 from tapping_cell.nodes.camera.pose_messages import camera_from_message
@@ -202,6 +202,20 @@ def test_a_clock_that_was_set_back_is_detected(cell: Cell) -> None:
     answers = cell.show(40)
     assert answers[0].error_code == ErrorCode.STAMP_INVALID
     assert answers[-1].visible
+
+
+def test_no_image_is_used_again_while_the_clock_of_the_camera_stands(cell: Cell) -> None:
+    assert cell.show(10)[-1].visible
+    picture = images.to_message(cell.renderer.render(TRUE), "mono8")
+    before = len(cell.states)
+
+    def answered(frames: int) -> bool:
+        cell.publish(picture, cell.stamp)
+        return len(cell.states) >= before + frames
+
+    cell.bench.wait(lambda: answered(2 * MAX_LATE), "the images are answered")
+    assert {state.error_code for state in cell.states[before:]} == {ErrorCode.STAMP_INVALID}
+    assert cell.show(10)[-1].visible
 
 
 def test_a_calibration_for_another_resolution_is_refused(cell: Cell) -> None:

@@ -6,6 +6,7 @@ from __future__ import annotations
 import time
 from pathlib import Path
 
+import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from harness import bench
 from rcl_interfaces.srv import SetParameters
@@ -17,6 +18,7 @@ from tapping_cell_msgs.msg import TapperState
 
 from tapping_cell.nodes.cell_node import LATCHED
 from tapping_cell.nodes.drivers.tapper_trigger import TapperTrigger
+from tapping_cell.nodes.recorder.run_recorder import RunRecorder
 from tapping_cell.simulation.pseudo_terminal import PseudoTerminal
 from tapping_cell.simulation.tapper_emulator import TapperEmulator
 
@@ -65,3 +67,14 @@ def test_timers_continue_when_the_clock_is_set_back_and_it_cannot_be_replaced(
         (result,) = answer.result().results
         assert not result.successful and "restart the node" in result.reason
         assert stamped(back)
+
+
+def test_a_recorder_without_a_clock_says_once_what_it_waits_for(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    given = {"folder": tmp_path, "use_sim_time": True}
+    with bench(lambda: [RunRecorder()], {"run_recorder": given}) as b:
+        health: list[DiagnosticArray] = b.listen(DiagnosticArray, "/diagnostics", 10)
+        b.wait(lambda: len(health) >= 4, "the node has tried several times")
+        assert "waits for a time on /clock" in health[-1].status[0].message
+    assert capfd.readouterr().err.count("waits for a time on /clock") == 1

@@ -160,6 +160,7 @@ class CameraPose(CellNode[Parameters]):
         self._camera_problem = ""
         self._bits = 8
         self._late = 0
+        self._late_stamp = 0.0
         self._unanswered_since = 0.0
         self._goal: Pose | None = None
         self._tapped = ""
@@ -329,7 +330,7 @@ class CameraPose(CellNode[Parameters]):
         observation = self._explained(self._cell_object, replace(observation, sentence=sentence))
         others = {n: self._explained(self._other_files[n], one) for n, one in others.items()}
         self._publish(message, observation, others)
-        self._count_late(observation)
+        self._count_late(observation, stamp)
         self._publish_camera(message)
         self._search_unknown(grey, stamp)
         self._frames += 1
@@ -411,10 +412,14 @@ class CameraPose(CellNode[Parameters]):
                 "camera/camera_info; check that the camera's node publishes it",
             )
 
-    def _count_late(self, observation: Observation) -> None:
+    def _count_late(self, observation: Observation, stamp: float) -> None:
         """Restart tracking after the camera's clock was set back, because then every image counts
-        as late."""
-        self._late = self._late + 1 if observation.problem is Problem.LATE_FRAME else 0
+        as late. Images with one and the same stamp (s) do not count: the clock stands still."""
+        if observation.problem is not Problem.LATE_FRAME:
+            self._late = 0
+        elif stamp != self._late_stamp:
+            self._late += 1
+        self._late_stamp = stamp
         if self._late >= MAX_LATE and self._camera is not None and self._cell is not None:
             self.get_logger().warning(
                 f"the stamps of {self._late} consecutive images are not later than that of an "

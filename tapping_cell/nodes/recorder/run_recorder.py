@@ -549,7 +549,9 @@ class RunRecorder(CellNode[Parameters]):
         try:
             list_refusal(folder, entry)
         except OSError as error:
-            self._complain(f"a refused goal could not be listed in {folder} ({error.strerror})")
+            self._report_failure(
+                f"a refused goal could not be listed in {folder} ({error.strerror})"
+            )
 
     def _delete_later(self) -> None:
         """Delete old runs in the thread of the reports, so that no messages of a goal wait."""
@@ -563,7 +565,7 @@ class RunRecorder(CellNode[Parameters]):
         try:
             done = rule.apply(parent)
         except OSError as error:
-            self._complain(f"old runs in {parent} cannot be deleted ({error})")
+            self._report_failure(f"old runs in {parent} cannot be deleted ({error})")
             return
         if done.deleted:
             self.get_logger().info(f"deleted old runs: {', '.join(done.deleted)}")
@@ -574,7 +576,7 @@ class RunRecorder(CellNode[Parameters]):
                 f"space for {USELESS_WAIT_S / 3600:.0f} h: find out which program fills it"
             )
         if done.failed:
-            self._complain(f"in {parent} cannot be deleted: {', '.join(done.failed)}")
+            self._report_failure(f"in {parent} cannot be deleted: {', '.join(done.failed)}")
 
     def _open(self, folder: Path, name: str) -> None:
         try:
@@ -583,7 +585,7 @@ class RunRecorder(CellNode[Parameters]):
             made = new_folder(folder, name, self.settings.most_runs, least_free, prepared)
             self._recording = Recording(made, self._topics, self._types)
         except CannotRecord as error:
-            self._complain(str(error))
+            self._report_failure(str(error))
             self._delete_later()
             return
         self._error = ""
@@ -601,7 +603,7 @@ class RunRecorder(CellNode[Parameters]):
             self._finish(recording)
             self._announce(recording, pictures=False)
             # Reported last, because /diagnostics shows the last failure.
-            self._complain(f"recording to {recording.folder} was stopped: {error}")
+            self._report_failure(f"recording to {recording.folder} was stopped: {error}")
             self._delete_later()
 
     def _close(self, rest: list[ReceivedMessage], pictures: bool) -> None:
@@ -622,14 +624,16 @@ class RunRecorder(CellNode[Parameters]):
         try:
             recording.close()
         except OSError as error:
-            self._complain(f"the bag in {recording.folder} was not closed: {error}")
+            self._report_failure(f"the bag in {recording.folder} was not closed: {error}")
         self._write_report(recording, pictures=False)
 
     def _write_report(self, recording: Recording, pictures: bool) -> None:
         try:
             recording.write_report(pictures)
         except (OSError, BagError, ValueError) as error:
-            self._complain(f"the summary of the run in {recording.folder} is incomplete: {error}")
+            self._report_failure(
+                f"the summary of the run in {recording.folder} is incomplete: {error}"
+            )
 
     def _announce(self, recording: Recording, pictures: bool) -> None:
         """Publish that a run folder is complete."""
@@ -645,7 +649,7 @@ class RunRecorder(CellNode[Parameters]):
                 raise
         self.get_logger().info(f"recorded {recording.folder}")
 
-    def _complain(self, sentence: str, expected: bool = False) -> None:
+    def _report_failure(self, sentence: str) -> None:
         self._error = f"({ErrorCode.RECORDING_FAILED}) {sentence}"
         self.get_logger().error(self._error)
 

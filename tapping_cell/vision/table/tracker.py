@@ -14,7 +14,6 @@ import enum
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import block_diag
 
 from tapping_cell.vision.camera import Array, CameraModel, CameraPose, View, at_height
 from tapping_cell.vision.markers.detection import ReferenceMap
@@ -29,7 +28,12 @@ from tapping_cell.vision.table.fit import (
     side_noise,
     whitening,
 )
-from tapping_cell.vision.table.systematic_error import SystematicError, condition, lens_shifts
+from tapping_cell.vision.table.systematic_error import (
+    SystematicError,
+    block_diagonal,
+    condition,
+    lens_shifts,
+)
 
 _SIDE_BIAS = 0.0007
 """Standard deviation, in pixels, of the error of an averaged side that depends on the position of
@@ -250,9 +254,9 @@ class TableTracker:
         # direction of the ray. This derivative differs between corners if the view is oblique.
         ahead = seen.reshape(-1, 1, 2) + 1e-6 * np.eye(2)
         lengths = (view.rays_on_plane(ahead) - points[fit.used].reshape(-1, 1, 2)) / 1e-6
-        block = block_diag(*lengths.transpose(0, 2, 1))
+        block = block_diagonal(lengths.transpose(0, 2, 1))
         white = whitening(rays[fit.used], noise[fit.used])
-        still = block_diag(*(np.linalg.inv(matrix.T @ matrix) for matrix in white))
+        still = block_diagonal(np.linalg.inv(white.transpose(0, 2, 1) @ white))
         return condition(
             points[fit.used],
             (block @ fit.residuals.reshape(-1)).reshape(-1, 4, 2),
