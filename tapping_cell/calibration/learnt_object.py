@@ -408,14 +408,15 @@ def _model_errors(taps: _Taps, found: Array, predicted: Array, error: Array) -> 
 
     Distances that depend on the length of the tap otherwise than predicted show that the striker
     hits the object again. The distance is proportional to the square of the impulse, so the second
-    impulse has half of this error, and may change the rotation by its own share.
+    impulse has half of this error, and may change the rotation by its own share. In a track, the
+    object then seems to slide farther.
     """
     length = np.log(np.hypot(predicted[:, 0], predicted[:, 1]))
-    again = 0.5 * float(np.polyfit(length, error, 1)[0] * np.std(length))
+    farther = float(np.polyfit(length, error, 1)[0] * np.std(length))
     decay = decay_of(taps.body.gamma, math.exp(found[1]))
     impact = _POLYGON_IMPACT if isinstance(taps.body, Polygon) else 0.0
-    rotation = math.hypot(impact, again) * decay / (decay - 1.0)
-    return np.array([SLIDE_MODEL[0], math.hypot(SLIDE_MODEL[1], rotation)])
+    rotation = math.hypot(impact, 0.5 * farther) * decay / (decay - 1.0)
+    return np.hypot(SLIDE_MODEL, [farther, rotation])
 
 
 def _parts(predicted: Array, errors: Array, divisor: Array) -> tuple[Parts | None, Parts | None]:
