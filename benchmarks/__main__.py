@@ -35,6 +35,7 @@ LONG_SECTIONS = (
     "cycle",
     "fixed-tappers",
     "idle",
+    "learnt-intervals",
     "lost-nodes",
     "photographs",
     "precision",

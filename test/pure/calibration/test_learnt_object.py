@@ -5,10 +5,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 import pytest
 
+from tapping_cell.calibration import learnt_object
 from tapping_cell.calibration.csv_table import RecordError
 from tapping_cell.calibration.learnt_object import (
     Launches,
@@ -20,10 +22,14 @@ from tapping_cell.calibration.learnt_object import (
 from tapping_cell.calibration.object_file import object_yaml
 from tapping_cell.configuration.cell import load_cell
 from tapping_cell.configuration.objects import GRAVITY, ObjectFile, ShapeSection, load_object
-from tapping_cell.mechanics import Sliding
+from tapping_cell.mechanics import Body, Impact, Sliding
+from tapping_cell.mechanics.planar import cross, to_left, turn
+from tapping_cell.mechanics.slide_track import decay_of
+from tapping_cell.mechanics.tap import line_of_action
 from tapping_cell.planning.evaluation.worlds import scattered
 from tapping_cell.planning.settings import Scatter
 from tapping_cell.planning.track import Track, launch_from
+from tapping_cell.se2 import Array
 from tapping_cell.simulation.tap_trials import SimulatedTaps
 from tapping_cell.simulation.truth import ScatterTruth, SupportTruth, TruthFile
 
@@ -193,3 +199,97 @@ def test_a_floor_of_the_scatter_is_learnt() -> None:
     made = learn_object(content, asked, moved)
     assert made.content.scatter.position_floor == pytest.approx(3e-4, rel=0.35)
     assert made.content.scatter.distance == pytest.approx(0.03, rel=0.6)
+
+
+class SmallSpin(NamedTuple):
+    """Slides whose spin is small in comparison with the speed (docs/mechanics.md): closed forms."""
+
+    body: Body
+    friction: float
+    torque_factor: float
+    gravity: float
+
+    def displace(self, twist: Array) -> Array:
+        speed = np.hypot(twist[:, 0], twist[:, 1])[:, None]
+        decay = decay_of(self.body.gamma, self.torque_factor)
+        return twist * speed / (self.friction * self.gravity) / np.array([2.0, 2.0, decay])
+
+    def twist_for(self, displacement: Array) -> Array:
+        decay = decay_of(self.body.gamma, self.torque_factor)
+        twist = displacement * self.friction * self.gravity * np.array([2.0, 2.0, decay])
+        return twist / np.sqrt(np.hypot(twist[:, 0], twist[:, 1]))[:, None]
+
+
+def polygon_taps(seed: int, count: int) -> tuple[ObjectFile, Array, Array, float]:
+    """Tap a polygon whose mass, restitution and contact friction are not those of its file, on
+    edges whose normals do not point at the centre. Return the file, the commanded and the measured
+    displacements, and the true torque factor."""
+    content, friction, factor = drawn(3 * seed + 2)
+    content = replace(content, friction=friction)
+    random = np.random.default_rng(seed)
+    true = replace(
+        content,
+        mass=content.mass * float(np.exp(random.uniform(-0.7, 0.7))),
+        restitution=float(random.uniform(0.4, 0.9)),
+        contact_friction=float(random.uniform(0.2, 0.35)),
+    )
+    body, mass = true.body(), true.mass
+    speed, heading = random.uniform(0.1, 0.4, 40 * count), random.uniform(-3.1, 3.1, 40 * count)
+    planned = np.stack([np.cos(heading), np.sin(heading), random.uniform(-9, 9, len(speed))], -1)
+    planned *= speed[:, None]
+    line, slope = line_of_action(body, planned)
+    usable = np.flatnonzero(~line.missed & (np.abs(slope) < 0.95 * content.contact_friction))
+    normal, point, planned = line.normal[usable], line.point[usable], planned[usable]
+    local = np.stack([(normal * point).sum(axis=1), cross(normal, point)], axis=1)
+    before, after = (
+        Impact(o.body(), STRIKER, restitution=o.restitution, friction=o.contact_friction)
+        for o in (content, true)
+    )
+    incidence = before.incidence_for(slope[usable], local)
+    kept = np.flatnonzero(np.isfinite(incidence))[:count]
+    assert len(kept) == count
+    normal, point, planned, local = normal[kept], point[kept], planned[kept], local[kept]
+    hit = before.strike(1.0, incidence[kept], local)
+    needed = content.mass * np.hypot(planned[:, 0], planned[:, 1])
+    needed = needed / np.hypot(hit.normal_impulse, hit.tangential_impulse)
+    hit = after.strike(needed, incidence[kept], local)
+    push = hit.normal_impulse[:, None] * normal + hit.tangential_impulse[:, None] * to_left(normal)
+    push = turn(push * random.normal(1.0, 0.025, (count, 1)), random.normal(0.0, 0.017, count))
+    spin = cross(point, push) / body.radius_of_gyration**2 * random.normal(1.0, 0.15, count)
+    moved = SmallSpin(body, friction, factor, GRAVITY).displace(
+        np.column_stack([push, spin]) / mass
+    )
+    slide = SmallSpin(content.body(), content.friction, content.torque_factor, GRAVITY)
+    return content, slide.displace(planned), moved, factor
+
+
+def test_intervals_contain_the_torque_factors_of_polygons(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(learnt_object, "Sliding", SmallSpin)
+    errors, inside, widths = [], [], []
+    for seed in range(20):
+        content, asked, moved, factor = polygon_taps(seed, 24)
+        estimate = {entry.name: entry for entry in learn_object(content, asked, moved).estimates}
+        found = estimate["torque_factor"]
+        errors.append(math.log(found.value / factor))
+        inside.append(found.low < factor < found.high)
+        widths.append(found.high / found.low)
+    assert sum(inside) >= 18
+    assert abs(float(np.mean(errors))) < 0.1
+    assert float(np.median(widths)) < 2.5
+
+
+def test_tracks_that_contradict_one_another_are_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(learnt_object, "Sliding", SmallSpin)
+    content, _, _ = drawn(0)
+    length = np.linspace(0.005, 0.03, 12)
+    asked = np.stack([length, np.zeros(12), np.where(np.arange(12) % 2, 2.0, -2.0) * length], -1)
+    slide = SmallSpin(content.body(), content.friction, content.torque_factor, GRAVITY)
+    twist = slide.twist_for(asked)
+    still, nothing = np.full(12, 0.01), np.full(12, math.nan)
+    launches = Launches(twist[:, 0], nothing, still, nothing)
+    assert learn_object(content, asked, asked, launches).tracked == 12
+    # The striker stays behind a slowly moving object: the speed depends less on the length.
+    pushed = launches._replace(speed=np.sqrt(twist[:, 0]))
+    found = learn_object(content, asked, asked, pushed)
+    assert found.tracked == 0
+    assert found.estimates[0].low < content.friction < found.estimates[0].high
