@@ -76,8 +76,8 @@ _PRIOR = np.array([0.25, 0.20, 0.35, 0.05, 0.02])
 Objects whose restitution is 0.4 to 0.9 instead of 0.6, contact friction 0.1 to 0.35 instead of 0.2,
 and mass wrong by a factor of up to 2 have 0.24, 0.13 (round) and 0.25 (polygons), 0.36, and 0.05
 (polygons)."""
-_LOW = np.array([*np.log([0.01, 0.05]), -1.0, -0.6, math.log(0.001), -0.3, -0.2])
-_HIGH = np.array([*np.log([2.0, 20.0]), 1.0, 0.6, math.log(2.0), 0.3, 0.2])
+_LOW = np.array([*np.log([0.01, 0.05]), -1.0, -2.0, math.log(0.001), -0.3, -0.2])
+_HIGH = np.array([*np.log([2.0, 20.0]), 1.0, 2.0, math.log(2.0), 0.3, 0.2])
 _STEP = 1e-4
 
 
@@ -415,8 +415,8 @@ def _model_errors(taps: _Taps, found: Array, predicted: Array, error: Array) -> 
     farther = float(np.polyfit(length, error, 1)[0] * np.std(length))
     decay = decay_of(taps.body.gamma, math.exp(found[1]))
     impact = _POLYGON_IMPACT if isinstance(taps.body, Polygon) else 0.0
-    rotation = math.hypot(impact, 0.5 * farther) * decay / (decay - 1.0)
-    return np.hypot(SLIDE_MODEL, [farther, rotation])
+    rotation = math.hypot(SLIDE_MODEL[1], impact, 0.5 * farther)
+    return np.array([math.hypot(SLIDE_MODEL[0], farther), rotation * decay / (decay - 1.0)])
 
 
 def _parts(predicted: Array, errors: Array, divisor: Array) -> tuple[Parts | None, Parts | None]:
