@@ -256,9 +256,8 @@ class TableTracker:
         lengths = (view.rays_on_plane(ahead) - points[fit.used].reshape(-1, 1, 2)) / 1e-6
         block = block_diagonal(lengths.transpose(0, 2, 1))
         white = whitening(rays[fit.used], noise[fit.used])
-        still = block_diagonal(
-            np.asarray(np.linalg.inv(white.transpose(0, 2, 1) @ white), dtype=np.float64)
-        )
+        noises = np.asarray(np.linalg.inv(white.transpose(0, 2, 1) @ white), dtype=float)
+        still = block_diagonal(noises)
         return condition(
             points[fit.used],
             (block @ fit.residuals.reshape(-1)).reshape(-1, 4, 2),
