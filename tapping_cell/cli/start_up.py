@@ -8,6 +8,7 @@ from typing import Any
 
 from rich.table import Table
 
+from tapping_cell.cli.supervision import ASIDE
 from tapping_cell.messages import ErrorCode
 from tapping_cell.nodes.page.node_watch import NOT_YET
 
@@ -100,7 +101,9 @@ def _line(
         return Line(name, "waits", problem) if problem else Line(name, "starting")
     if row["level"] == "ok":
         return Line(name, "ready")
-    return Line(name, "fault" if row["level"] == "error" else "warns", row["sentence"])
+    # The cell also takes goals while nothing can be recorded, for example because the disk is full.
+    is_fault = row["level"] == "error" and name not in ASIDE
+    return Line(name, "fault" if is_fault else "warns", row["sentence"])
 
 
 def table(lines: Sequence[Line]) -> Table:

@@ -61,6 +61,17 @@ def test_devices_wait_for_the_simulated_world_without_cable_hints() -> None:
     assert lines["scara_arm"] == "scara_arm: waits, for sim_world"
 
 
+@pytest.mark.parametrize(
+    ("name", "ready"), [("operator_page", True), ("camera_pose", False), ("tapper_trigger", False)]
+)
+def test_only_faults_of_nodes_that_position_nothing_let_the_cell_start(
+    name: str, ready: bool
+) -> None:
+    full = {"level": "error", "sentence": "(908) the disk is full"}
+    start = judge(NODES, cell(**{name: full}), {})
+    assert start.ready == ready and "the disk is full" in " ".join(map(str, start.lines))
+
+
 def test_an_unattended_page_does_not_block_the_cell() -> None:
     state = cell(operator_page={"life": "not running"})
     start = judge(NODES, state, {"operator_page": "ended by SIGKILL"})
