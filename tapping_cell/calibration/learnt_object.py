@@ -240,7 +240,7 @@ def learn_object(
 
 class _Taps:
     """The taps of a fit, as functions of its parameters: the logarithms of friction and torque
-    factor, speed, slope, the logarithm of the contact friction, and aim."""
+    factor, speed, slope, the logarithm of the contact friction, lever, and aim."""
 
     def __init__(self, content: ObjectFile, asked: Array, moved: Array, launches: Launches) -> None:
         body = self.body = content.body()

@@ -155,7 +155,7 @@ def no_run(path: Path) -> bool:
 
 
 def _runs_in(path: Path) -> list[Path]:
-    """Return the runs in a folder that is none itself."""
+    """Return the runs in a folder that is not a run folder itself."""
     if not path.is_dir() or not no_run(path):
         return []
     return [one for one in path.iterdir() if one.is_dir() and not no_run(one)]

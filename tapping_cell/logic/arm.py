@@ -30,7 +30,6 @@ from tapping_cell.logic.arm_states import (
     TABLE,
     WIRE,
     Event,
-    Go,
     InPosition,
     Leaving,
     Placing,
@@ -67,7 +66,7 @@ from tapping_cell.logic.host import Configured
 from tapping_cell.logic.poses import from_message
 from tapping_cell.logic.standing_still import StandingStill
 from tapping_cell.logic.tap_commands import CodedError
-from tapping_cell.logic.transitions import StateMachine
+from tapping_cell.logic.transitions import Go, StateMachine
 from tapping_cell.logic.withdrawal import Scene
 from tapping_cell.messages import (
     ArmState,
@@ -422,7 +421,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         """Id of the tap under way; 0 if there is none."""
         return 0 if self._serving is None else self._serving.tap_id
 
-    def _carry_out(self, steps: Iterable[Go | Run | Abandon]) -> None:
+    def _carry_out(self, steps: Iterable[Go[Event, Serving] | Run | Abandon]) -> None:
         """Carry out the steps of the cycle. Every job of a step moves the arm."""
         for step in steps:
             if isinstance(step, Go):

@@ -18,7 +18,6 @@ from tapping_cell.logic import arm_jobs
 from tapping_cell.logic.arm_jobs import MotionEnd, Reading
 from tapping_cell.logic.arm_states import (
     Event,
-    Go,
     InPosition,
     Leaving,
     Placing,
@@ -30,6 +29,7 @@ from tapping_cell.logic.arm_states import (
 from tapping_cell.logic.clock import Now
 from tapping_cell.logic.device import Abandon, Run
 from tapping_cell.logic.standing_still import StandingStill
+from tapping_cell.logic.transitions import Go
 from tapping_cell.logic.withdrawal import Scene, hides_object, uncovering, withdrawal
 
 SHORT_REST_S = 0.05

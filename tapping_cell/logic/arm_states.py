@@ -10,7 +10,7 @@ from typing import ClassVar
 
 from tapping_cell.hardware.scara import Joints, TipPose
 from tapping_cell.logic.device import Abandon, Run
-from tapping_cell.logic.transitions import table
+from tapping_cell.logic.transitions import Go, table
 from tapping_cell.logic.withdrawal import Scene
 from tapping_cell.messages import ArmState
 
@@ -181,14 +181,5 @@ class Withdrawing(Serving):
     """Whether the arm moves on to its park pose."""
 
 
-@dataclass(frozen=True, slots=True)
-class Go:
-    """Go to the state of ``record``. Without an event, the state remains, and only its data
-    changes."""
-
-    event: Event | None
-    record: Serving
-
-
-Steps = Iterator[Go | Run | Abandon]
+Steps = Iterator[Go[Event, Serving] | Run | Abandon]
 """Changes of the record and jobs, carried out in this order."""

@@ -48,7 +48,6 @@ from tapping_cell.logic.planner_states import (
     End,
     Event,
     Firing,
-    Go,
     Placing,
     Planning,
     Record,
@@ -62,7 +61,7 @@ from tapping_cell.logic.planner_states import (
 from tapping_cell.logic.resumption import KeptGoal, Resumption
 from tapping_cell.logic.tap_sender import TapSender
 from tapping_cell.logic.task import Task
-from tapping_cell.logic.transitions import check
+from tapping_cell.logic.transitions import Go, check
 from tapping_cell.messages import (
     ArrangeObjects,
     ConfirmTap,
@@ -356,7 +355,7 @@ class PlannerLogic:
         if isinstance(at, Working) and self._parts is not None:
             self._carry_out(tap_cycle.advance(at, self._parts, now), now)
 
-    def _carry_out(self, steps: Iterable[Effect | Go | End], now: Now) -> None:
+    def _carry_out(self, steps: Iterable[Effect | Go[Event, Working] | End], now: Now) -> None:
         """Carry out the steps of the cycle."""
         for step in steps:
             if isinstance(step, Go):
@@ -366,7 +365,7 @@ class PlannerLogic:
             else:
                 self._effects.append(step)
 
-    def _go(self, step: Go, now: Now) -> None:
+    def _go(self, step: Go[Event, Working], now: Now) -> None:
         """Go to another state and report it."""
         if step.event is not None:
             check(TABLE, self.state, step.event, step.record.state)

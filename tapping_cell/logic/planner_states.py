@@ -16,7 +16,7 @@ from tapping_cell.logic.cell_monitor import CodedError
 from tapping_cell.logic.effects import Effect
 from tapping_cell.logic.goal_watch import FINAL_STATES
 from tapping_cell.logic.task import Shot, Task
-from tapping_cell.logic.transitions import table
+from tapping_cell.logic.transitions import Go, table
 from tapping_cell.messages import ErrorCode, PlanState
 
 
@@ -214,15 +214,6 @@ def shot_of(record: Record) -> Shot | None:
 
 
 @dataclass(frozen=True, slots=True)
-class Go:
-    """Go to the state of ``record``. Without an event, the state remains, and only its data
-    changes."""
-
-    event: Event | None
-    record: Working
-
-
-@dataclass(frozen=True, slots=True)
 class End:
     """End the goal, with an error code and message."""
 
@@ -243,5 +234,5 @@ def failed(code: int, sentence: str) -> End:
     return End(S.FAILED, code, sentence)
 
 
-Steps = Iterator[Effect | Go | End]
+Steps = Iterator[Effect | Go[Event, Working] | End]
 """Effects, changes of the record and the end of the goal, carried out in this order."""

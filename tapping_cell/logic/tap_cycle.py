@@ -23,7 +23,6 @@ from tapping_cell.logic.planner_states import (
     Confirming,
     Event,
     Firing,
-    Go,
     Looking,
     Placing,
     Planning,
@@ -51,6 +50,7 @@ from tapping_cell.logic.tap_steps import (
     try_another_way,
     wait_again,
 )
+from tapping_cell.logic.transitions import Go
 from tapping_cell.messages import ErrorCode, ObjectState, TapperState
 
 

@@ -13,7 +13,6 @@ from tapping_cell.logic.planner_states import (
     End,
     Event,
     Firing,
-    Go,
     Looking,
     Placing,
     Planning,
@@ -25,6 +24,7 @@ from tapping_cell.logic.planner_states import (
 from tapping_cell.logic.tap_counts import LATE
 from tapping_cell.logic.tap_steps import PlannerParts, wait_again
 from tapping_cell.logic.task import Shot, Task
+from tapping_cell.logic.transitions import Go
 from tapping_cell.messages import ConfirmTap, ErrorCode, ObjectState
 from tapping_cell.planning import Decision, Done, ObserveAgain, Refusal, RefusalReason, Strike
 from tapping_cell.se2 import Pose

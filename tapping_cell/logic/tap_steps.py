@@ -19,7 +19,6 @@ from tapping_cell.logic.planner_states import (
     Confirming,
     Event,
     Firing,
-    Go,
     Looking,
     Placing,
     Planning,
@@ -36,6 +35,7 @@ from tapping_cell.logic.resumption import Resumption
 from tapping_cell.logic.tap_counts import LATE
 from tapping_cell.logic.tap_sender import PARKING_S, TapSender
 from tapping_cell.logic.task import Shot, Task
+from tapping_cell.logic.transitions import Go
 from tapping_cell.messages import ErrorCode, ObjectState, TapperState
 
 WITHDRAWN_BY_ANOTHER = (
@@ -76,7 +76,7 @@ def new_look(at: WaitingForCell | Settling, parts: PlannerParts, now: Now) -> Lo
     )
 
 
-def postpone(at: Looking, parts: PlannerParts, now: Now) -> Go:
+def postpone(at: Looking, parts: PlannerParts, now: Now) -> Go[Event, Working]:
     """Postpone the deadline of the observation while a solver still computes the solution for the
     goal. The goal's time limit still applies."""
     return Go(None, replace(at, deadline=now.steady + parts.settings.observe_deadline))

@@ -37,7 +37,6 @@ from tapping_cell.logic.tapper_states import (
     Discharging,
     Event,
     Firing,
-    Go,
     Over,
     S,
     Serving,
@@ -45,7 +44,7 @@ from tapping_cell.logic.tapper_states import (
     Steps,
     Waiting,
 )
-from tapping_cell.logic.transitions import StateMachine
+from tapping_cell.logic.transitions import Go, StateMachine
 from tapping_cell.messages import ErrorCode, TapCommand, TapperState
 
 READ_PERIOD_S = 0.1
@@ -278,7 +277,7 @@ class TapperLogic(DeviceLogic[State, Event]):
             else:
                 self._effects.append(step)
 
-    def _go(self, step: Go) -> None:
+    def _go(self, step: Go[Event, Serving]) -> None:
         if isinstance(step.record, Discharging):
             self._last.fire_job = None  # only a tap that no job may have fired is discharged
         if step.event is not None:

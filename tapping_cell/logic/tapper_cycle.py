@@ -24,12 +24,12 @@ from tapping_cell.logic.tapper_states import (
     Discharging,
     Event,
     Firing,
-    Go,
     Over,
     Serving,
     Steps,
     Waiting,
 )
+from tapping_cell.logic.transitions import Go
 from tapping_cell.messages import ErrorCode, HoldStill, TapperState
 
 HOLD_TIMEOUT_S = 0.2

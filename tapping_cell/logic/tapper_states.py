@@ -12,7 +12,7 @@ from typing import ClassVar
 from tapping_cell.logic.device import Abandon, Run
 from tapping_cell.logic.effects import Effect
 from tapping_cell.logic.tap_commands import CodedError
-from tapping_cell.logic.transitions import table
+from tapping_cell.logic.transitions import Go, table
 from tapping_cell.messages import TapperState
 from tapping_cell.se2 import Pose
 
@@ -172,15 +172,6 @@ class Discharging(Serving):
 
 
 @dataclass(frozen=True, slots=True)
-class Go:
-    """Go to the state of ``record``. Without an event, the state remains, and only its data
-    changes."""
-
-    event: Event | None
-    record: Serving
-
-
-@dataclass(frozen=True, slots=True)
 class Over:
     """The tap is over and the tapper is at rest; ``error`` is reported."""
 
@@ -189,5 +180,5 @@ class Over:
     error: CodedError
 
 
-Steps = Iterator[Effect | Go | Run | Abandon | Over]
+Steps = Iterator[Effect | Go[Event, Serving] | Run | Abandon | Over]
 """Effects, changes of the record and jobs, carried out in this order."""

@@ -3,15 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from enum import Enum
 from typing import Generic, TypeVar
 
 State = TypeVar("State", bound=Enum)
 Event = TypeVar("Event", bound=Enum)
+Record = TypeVar("Record")
 
 
 class UndefinedTransition(Exception):
     """An event occurred that the transition table does not allow: a defect of this program."""
+
+
+@dataclass(frozen=True, slots=True)
+class Go(Generic[Event, Record]):
+    """Step of a cycle: go to the state of ``record``. Without an event, the state remains, and only
+    its data changes."""
+
+    event: Event | None
+    record: Record
 
 
 class StateMachine(Generic[State, Event]):
