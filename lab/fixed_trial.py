@@ -35,6 +35,7 @@ from tapping_cell.hardware.tapper_protocol import Mode
 from tapping_cell.logic.fixed_goal_handling import FixedGoalHandling
 from tapping_cell.logic.planner import PlannerLogic
 from tapping_cell.logic.poses import to_message
+from tapping_cell.logic.table_maps import TableMaps
 from tapping_cell.logic.tapper import TapperLogic, TapperOptions
 from tapping_cell.logic.tapper_peers import PeerLimits
 from tapping_cell.messages import TapCommand, TapperState
@@ -75,8 +76,8 @@ def _solver() -> GoalSolver:
 class _GoalHandling(FixedGoalHandling):
     """Goal handling with the shared solver."""
 
-    def _prepare(self, cell: Cell) -> None:
-        super()._prepare(cell)
+    def _prepare(self, cell: Cell, maps: TableMaps | None) -> None:
+        super()._prepare(cell, maps)
         self._solver = _solver()
 
 

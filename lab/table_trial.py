@@ -16,7 +16,6 @@ from lab.trial import CAMERA_SIGMA, NOTICED_S, Trial
 from lab.virtual_cell.table_camera import TableCamera
 from lab.virtual_cell.table_cell import HALF_LENGTH_M, HALF_WIDTH_M, PhysicalTable
 from tapping_cell.configuration.objects import ObjectFile
-from tapping_cell.logic.goal_handling import GoalHandling
 from tapping_cell.logic.poses import to_message
 from tapping_cell.messages import (
     ArrangeObjects,
@@ -27,7 +26,6 @@ from tapping_cell.messages import (
     PositionObject,
     TapCommand,
 )
-from tapping_cell.planning import FreeSpace
 from tapping_cell.se2 import Pose
 from tapping_cell.simulation.truth import TruthFile
 
@@ -51,13 +49,6 @@ SHARE_OF_OTHER_OBJECTS = 0.5
 """Fraction of the second client's goals that are action goals of another object."""
 
 
-class _GoalHandling(GoalHandling):
-    """Goal handling with a shared map of the empty table: all objects have the same shape."""
-
-    def _maps_of_objects(self) -> dict[str, FreeSpace]:
-        return dict.fromkeys(self._cells, self._maps.among(()).free)
-
-
 def has_several_objects(seed: int) -> bool:
     """Return whether the cell of this seed has several objects."""
     return bool(np.random.default_rng([seed, 20]).random() < SHARE_OF_TABLES)
@@ -70,7 +61,6 @@ class TableTrial(Trial):
     physical: PhysicalTable
     camera: TableCamera
 
-    goal_handling = _GoalHandling
     makers = TABLE_MAKERS
     at_a_shot = TABLE_AT_A_SHOT
     # In a cell with several objects, a job computes the decision, which takes some time.

@@ -68,7 +68,7 @@ from tapping_cell.logic.arm import ArmLogic, ArmOptions
 from tapping_cell.logic.clock import NANOSECONDS, Now, to_stamp
 from tapping_cell.logic.goal_handling import GoalHandling
 from tapping_cell.logic.host import Logic
-from tapping_cell.logic.other_objects import OtherObjects
+from tapping_cell.logic.objects_on_table import ObjectsOnTable
 from tapping_cell.logic.planner import PlannerLogic
 from tapping_cell.logic.planner_settings import PlannerSettings
 from tapping_cell.logic.poses import from_message, to_message
@@ -516,7 +516,7 @@ class Trial:
         return self.goal_handling(
             self.cell,
             "",
-            OtherObjects(self._other_files(), MEMORY_S, MOVED_M),
+            ObjectsOnTable((self.cell.object, *self._other_files()), MEMORY_S, MOVED_M),
             now,
             adapt=True,
             probe=self._probes,

@@ -404,35 +404,6 @@ class ArrangementTask(Task):
         return report
 
 
-@dataclass(slots=True, eq=False, kw_only=True)
-class AmongOthersTask(ArrangementTask):
-    """Task of moving one object that is not the cell's own object. The task is planned as an
-    arrangement in which only this object is moved."""
-
-    resumable: ClassVar[bool] = True
-
-    def description(self) -> str:
-        """Return a readable description of the goal."""
-        return f"'{self.object_id}': {Task.description(self)}"
-
-    @property
-    def purpose(self) -> str:
-        """Empty, because this object is the only one with a goal."""
-        return ""
-
-    def feedback(
-        self, state: PlanState
-    ) -> PositionObject.Feedback | SingleTap.Feedback | ArrangeObjects.Feedback:
-        """Return the action's feedback."""
-        return Task.feedback(self, state)
-
-    def result(
-        self, code: int, sentence: str, last: PlanState, seen: ObjectState | None
-    ) -> PositionObject.Result | SingleTap.Result | ArrangeObjects.Result:
-        """Return the action's result."""
-        return Task.result(self, code, sentence, last, seen)
-
-
 def _stamped(pose: Pose) -> PoseStamped:
     message = PoseStamped(pose=to_message(pose))
     message.header.frame_id = "table"

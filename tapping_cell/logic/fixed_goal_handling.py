@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from tapping_cell.configuration import assembly
 from tapping_cell.configuration.cell import Cell
+from tapping_cell.logic.arrangement import ArrangementTask
 from tapping_cell.logic.clock import Now
 from tapping_cell.logic.effects import Token
-from tapping_cell.logic.goal_handling import GoalHandling
+from tapping_cell.logic.goal_handling import GoalHandling, Request
 from tapping_cell.logic.goal_validation import Refused
+from tapping_cell.logic.table_maps import TableMaps
 from tapping_cell.logic.task import SingleTapTask, Task
-from tapping_cell.messages import ErrorCode, SingleTap
+from tapping_cell.messages import ArrangeObjects, ErrorCode, SingleTap
 from tapping_cell.planning import KeepOut, Refusal
 from tapping_cell.planning.errors import PlanningError
 from tapping_cell.planning.fixed_session import METHOD, FixedTapperSession, check_fixed_goal
@@ -24,7 +26,7 @@ class FixedGoalHandling(GoalHandling):
     """See the module's docstring. The estimated errors of the mounts are kept from one goal to the
     next."""
 
-    def _prepare(self, cell: Cell) -> None:
+    def _prepare(self, cell: Cell, maps: TableMaps | None) -> None:
         self._whole = assembly.make_fixed_space(cell, objective=self._objective)
         self._spaces: dict[tuple[KeepOut, ...], FixedStrikeSpace] = {}
         self._solver = GoalSolver(background=self._in_background)
@@ -60,7 +62,7 @@ class FixedGoalHandling(GoalHandling):
             assembly.make_planner_settings(self.cell, tolerance),
             self._space,
             self._solver,
-            self._gains,
+            self.gains,
             self._mounts,
             adapt=self._adapt,
             most_taps=most_taps,
@@ -76,6 +78,28 @@ class FixedGoalHandling(GoalHandling):
         super().learn(task)
         if isinstance(task.session, FixedTapperSession):
             self._mounts = task.session.mounts
+
+    def accept(self, request: Request, now: Now) -> Task | Refused:
+        """Return a task for a request, or why it is refused: the tappers' lines are computed for
+        the cell's own object."""
+        own = self.cell.object.name
+        if request.object_id in self._cells and request.object_id != own:
+            return Refused(
+                ErrorCode.NO_ARRANGEMENT,
+                f"this cell's fixed tappers move only '{own}', not '{request.object_id}'; use a"
+                " cell with an arm",
+            )
+        return super().accept(request, now)
+
+    def accept_arrangement(
+        self, asked: ArrangeObjects.Goal, token: Token | None, now: Now
+    ) -> ArrangementTask | Refused:
+        """Refuse: fixed tappers move only the cell's own object."""
+        return Refused(
+            ErrorCode.NO_ARRANGEMENT,
+            "this cell has fixed tappers, which cannot arrange several objects; use a cell with an"
+            " arm",
+        )
 
     def accept_tap(
         self, asked: SingleTap.Goal, token: Token, pose: Pose | None, now: Now

@@ -9,12 +9,12 @@ from tapping_cell.configuration import assembly
 from tapping_cell.configuration.cell import Cell
 from tapping_cell.logic import tap_commands
 from tapping_cell.logic.arm_times import arm_times
-from tapping_cell.logic.arrangement import AmongOthersTask, ArrangementTask, RequestedGoal
+from tapping_cell.logic.arrangement import ArrangementTask, RequestedGoal
 from tapping_cell.logic.clock import Now
 from tapping_cell.logic.effects import Token
 from tapping_cell.logic.frames import TABLE, Frames, TableOnly
 from tapping_cell.logic.goal_validation import REFUSALS, Refused, read_goal, read_tolerance
-from tapping_cell.logic.other_objects import OtherObjects
+from tapping_cell.logic.objects_on_table import ObjectsOnTable
 from tapping_cell.logic.poses import to_message
 from tapping_cell.logic.table_maps import TableMaps
 from tapping_cell.logic.task import SingleTapTask, Task
@@ -22,12 +22,10 @@ from tapping_cell.messages import (
     ArrangeObjects,
     ErrorCode,
     Header,
-    ObjectGoal,
     PoseStamped,
     SingleTap,
 )
 from tapping_cell.planning import (
-    FreeSpace,
     Gains,
     Planner,
     PositioningSession,
@@ -89,7 +87,7 @@ class GoalHandling:
         self,
         cell: Cell,
         planner: str,
-        other_objects: OtherObjects,
+        objects: ObjectsOnTable,
         now: Now,
         *,
         objective: str = "",
@@ -103,74 +101,59 @@ class GoalHandling:
     ) -> None:
         """Create the goal handling of a cell.
 
-        ``other_objects``: obstacles; ``objective``: quantity to minimise, empty for the quantity in
-        the cell file; ``adapt``: learn from taps; ``probe``: begin with a few of the smallest taps
-        if the object's friction is not known; ``keep_for``: cell for which the learnt corrections
-        of the model are stored between runs, empty to store none; ``time_limit``: default time
-        limit of a goal, s; ``maps``: maps already made for this cell; ``frames``: other frames in
-        which goals may be given, None for ``table`` only.
+        ``objects``: the cell's objects on the table; ``objective``: quantity to minimise, empty for
+        the quantity in the cell file; ``adapt``: learn from taps; ``probe``: begin with a few of
+        the smallest taps if the object's friction is not known; ``keep_for``: cell for which the
+        learnt corrections of the model are stored between runs, empty to store none;
+        ``time_limit``: default time limit of a goal, s; ``maps``: maps already made for this cell;
+        ``frames``: other frames in which goals may be given, None for ``table`` only.
         """
         self.cell = cell
         self._frames = frames or TableOnly()
-        self.other_objects = other_objects
+        self.objects = objects
         self._adapt = adapt
         self._probe = probe
         self._objective = objective or cell.file.goal.objective
-        self._times = arm_times(cell)
         self._keep_for = keep_for
         self._time_limit = time_limit
         self._in_background = solve_in_background
-        self._gains = load_gains(cell.object.name, keep_for) if keep_for else Gains.start()
         self._planner = planner or cell.file.goal.planner
-        self._given_maps = maps
-        self._prepare(cell)
-        self.others = other_objects.areas(now)
+        self._cells = {file.name: replace(cell, object=file) for file in objects.files}
+        self._known = {
+            name: load_gains(name, keep_for) if keep_for else Gains.start() for name in self._cells
+        }
+        self._tapped = cell.object.name
+        """Object for which ``others`` and the present map hold."""
+        self._prepare(cell, maps)
+        self.others = objects.areas(now, self._tapped)
         """Areas that the other objects cover; None for an object that is not on the table."""
         self._planned_among = self.others
         self._use_map()
         # The planning method is created now, because some methods run a solver before the first
         # goal.
         self._use_method(cell.tolerance)
-        self._cells = {
-            file.name: replace(cell, object=file) for file in (cell.object, *other_objects.files)
-        }
-        self._known = {cell.object.name: self._gains} | {
-            file.name: load_gains(file.name, keep_for) if keep_for else Gains.start()
-            for file in other_objects.files
-        }
-        self._free = (
-            self._maps_of_objects() if other_objects.files and cell.file.arm is not None else {}
-        )
-
-    def _maps_of_objects(self) -> dict[str, FreeSpace]:
-        """Return the free space of each object on a table without other objects. Objects that
-        differ only in name and appearance share a map."""
-        made: dict[str, FreeSpace] = {}
-        maps = {}
-        for name, cell in self._cells.items():
-            key = repr(
-                [
-                    getattr(cell.object, entry.name)
-                    for entry in fields(cell.object)
-                    if entry.name not in APPEARANCE_KEYS
-                ]
-            )
-            if key not in made:
-                made[key] = FreeSpace(assembly.make_strike_space(cell))
-                self._planner_for(cell, cell.tolerance)
-            maps[name] = made[key]
-        return maps
 
     # Methods that the goal handling of a positioning cell overrides
 
-    def _prepare(self, cell: Cell) -> None:
-        """Create the maps and planners that are kept for the lifetime of the cell."""
-        self._maps = self._given_maps or TableMaps(cell)
+    def _prepare(self, cell: Cell, maps: TableMaps | None) -> None:
+        """Create the maps and planners that are kept for the lifetime of the cell. Objects that
+        differ only in name and appearance share them."""
         self._planners: dict[str, Planner] = {}
+        self._times = {name: arm_times(one) for name, one in self._cells.items()}
+        self._maps: dict[str, TableMaps] = {}
+        made = {} if maps is None else {_slides_like(cell): maps}
+        for name, one in self._cells.items():
+            key = _slides_like(one)
+            if key not in made:
+                made[key] = TableMaps(one)
+            self._maps[name] = made[key]
+            self._planner_for(one, one.tolerance)
 
     def _use_map(self) -> None:
-        """Select the map of the table with the other objects at their present poses."""
-        self.map = self._maps.among([area for area in self.others if area is not None])
+        """Select the map of the table for the tapped object, with the other objects at their
+        present poses."""
+        areas = [area for area in self.others if area is not None]
+        self.map = self._maps[self._tapped].among(areas)
 
     def _use_method(self, tolerance: tuple[float, float]) -> None:
         """Check that the planning method is available; raise PlanningError otherwise."""
@@ -192,14 +175,14 @@ class GoalHandling:
     def _session(
         self, goal: Pose, tolerance: tuple[float, float], most_taps: int, probe: bool
     ) -> GoalSession:
-        """Return the session that decides on the taps of a goal."""
+        """Return the session that decides on the taps of a goal of the tapped object."""
         return PositioningSession(
             goal,
-            self._planner_for(self.cell, tolerance),
+            self._planner_for(self._cells[self._tapped], tolerance),
             self.map.space,
             self.map.free,
-            self._gains,
-            times=self._times,
+            self._known[self._tapped],
+            times=self._times[self._tapped],
             objective=self._objective,
             adapt=self._adapt,
             probe=self._probe or probe,
@@ -221,7 +204,7 @@ class GoalHandling:
         ``since``, or if the camera has not searched for objects without an object file since the
         steady time ``search_since``.
         """
-        if not self.other_objects.searched(search_since):
+        if not self.objects.searched(search_since):
             return (
                 ErrorCode.NOT_READY,
                 "camera_pose did not search the table for objects without an object file, because "
@@ -230,28 +213,29 @@ class GoalHandling:
         if isinstance(task, ArrangementTask):
             # An arrangement task itself observes all objects that have an object file. Such a task
             # needs to be given only the areas of the objects without an object file.
-            task.avoid(self.other_objects.unknown)
+            task.avoid(self.objects.unknown)
             return None
-        names = self.other_objects.unobserved(since)
+        names = self.objects.unobserved(since, task.object_id)
         if names:
             return (
                 ErrorCode.NOT_READY,
                 f"object_states has no observation of the object {names}; give camera_pose the "
                 "same other_object_files as tap_planner",
             )
-        self._locate_others(now)
+        self._locate(task.object_id, now)
         self._planned_among = self.others
         self._update(task)
         return None
 
-    def others_moved(self, now: Now) -> bool:
+    def others_moved(self, task: Task, now: Now) -> bool:
         """Return whether another object has moved since the present tap was planned."""
-        return self.other_objects.moved_since(self._planned_among, now)
+        return self.objects.moved_since(self._planned_among, now, task.object_id)
 
-    def _locate_others(self, now: Now) -> None:
-        """Update the areas of the other objects."""
-        before, self.others = self.others, self.other_objects.areas(now)
-        if before != self.others:
+    def _locate(self, tapped: str, now: Now) -> None:
+        """Update the areas of the objects besides ``tapped``."""
+        others = self.objects.areas(now, tapped)
+        if (tapped, others) != (self._tapped, self.others):
+            self._tapped, self.others = tapped, others
             self._use_map()
 
     def use(self, planner: str) -> None:
@@ -269,13 +253,14 @@ class GoalHandling:
 
     @property
     def gains(self) -> Gains:
-        """Corrections of the object's model, learnt from the taps of earlier goals."""
-        return self._gains
+        """Corrections of the model of the cell's own object, learnt from the taps of earlier
+        goals."""
+        return self._known[self.cell.object.name]
 
     def learnt(self) -> dict[str, str]:
         """Return the learnt corrections of the model and their standard deviations as text, for
         diagnostics."""
-        numbers = self._gains.as_numbers()
+        numbers = self.gains.as_numbers()
         return {
             f"learnt {name}": f"{numbers[name]:.4f} +- {numbers[f'{name}_deviation']:.4f}"
             for name in NAMES
@@ -285,7 +270,6 @@ class GoalHandling:
         """Use the corrections of the model that were learnt from a goal's taps, also before the
         goal has ended, for the goals that are accepted from now on."""
         self._known |= task.learnt()
-        self._gains = self._known[self.cell.object.name]
 
     def keep_learnt(self, task: Task) -> None:
         """Store the corrections that were learnt in a goal for later runs, if the cell keeps them.
@@ -302,13 +286,20 @@ class GoalHandling:
 
     def accept(self, request: Request, now: Now) -> Task | Refused:
         """Return a task for a request, or why the request is refused."""
-        name = self.cell.object.name
-        if request.object_id not in ("", name):
-            return self._accept_among_others(request, now)
+        name = request.object_id or self.cell.object.name
+        if name not in self._cells:
+            known = ", ".join(f"'{one}'" for one in self._cells)
+            return Refused(
+                ErrorCode.GOAL_UNKNOWN_OBJECT,
+                f"the cell has no object '{name}'; name one of {known}, or leave object_id empty"
+                f" for '{self.cell.object.name}'",
+            )
         goal = read_goal(request.message, 1e-9 * now.ros, self._frames)
         if isinstance(goal, Refused):
             return goal
-        tolerance = _tolerance_of(self.cell, request.position_tolerance, request.angle_tolerance)
+        tolerance = _tolerance_of(
+            self._cells[name], request.position_tolerance, request.angle_tolerance
+        )
         if isinstance(tolerance, Refused):
             return tolerance
         limit = self.cell.file.goal.max_taps
@@ -323,7 +314,7 @@ class GoalHandling:
                 f"the time limit is {request.time_limit:g} s; it must be above 0, or 0 for the"
                 " cell's default",
             )
-        self._locate_others(now)
+        self._locate(name, now)
         unreachable = self._goal_refusal(goal)
         if unreachable is not None:
             return Refused(REFUSALS[unreachable.reason], unreachable.sentence)
@@ -348,43 +339,15 @@ class GoalHandling:
             probe=request.probe,
         )
 
-    def _accept_among_others(self, request: Request, now: Now) -> Task | Refused:
-        """Return a task for a goal of an object other than the cell's own, or why it is refused."""
-        if request.object_id not in self._cells:
-            known = ", ".join(f"'{name}'" for name in self._cells)
-            return Refused(
-                ErrorCode.GOAL_UNKNOWN_OBJECT,
-                f"the cell has no object '{request.object_id}'; name one of {known}, or leave"
-                f" object_id empty for '{self.cell.object.name}'",
-            )
-        if request.probe:
-            return Refused(
-                ErrorCode.COMMAND_INVALID,
-                f"only '{self.cell.object.name}' can be probed, not '{request.object_id}'; send"
-                " the goal without a probe",
-            )
-        asked = ArrangeObjects.Goal(
-            goals=[
-                ObjectGoal(
-                    object_id=request.object_id,
-                    goal_pose=request.message,
-                    position_tolerance=request.position_tolerance,
-                    angle_tolerance=request.angle_tolerance,
-                )
-            ],
-            max_taps=request.max_taps,
-            time_limit=request.time_limit,
-        )
-        return self.accept_arrangement(asked, request.token, now, AmongOthersTask, ask=request.ask)
-
     def accept_tap(
         self, asked: SingleTap.Goal, token: Token, pose: Pose | None, now: Now
     ) -> SingleTapTask | Refused:
         """Return a task for a single tap, or why it is refused. ``pose``: observed pose, if any."""
+        self._locate(self.cell.object.name, now)
         curve = self.cell.file.tapper.curve()
         if asked.at_nothing:
             speed, stroke = SAFELY_SLOWEST * curve.slowest, self.cell.file.tapper.stroke
-            shot = ShotAtNothing(speed, stroke, self.map.experiments, self.map.free, self._gains)
+            shot = ShotAtNothing(speed, stroke, self.map.experiments, self.map.free, self.gains)
             return self._single(shot, pose, token, now)
         if not curve.slowest <= asked.striker_speed <= curve.fastest:
             return Refused(
@@ -399,7 +362,7 @@ class GoalHandling:
         direction = None if math.isnan(asked.direction) else asked.direction
         tap = Prescription(asked.striker_speed, asked.incidence, direction, asked.slack)
         session = PrescribedSession(
-            tap, self.map.experiments, self.map.free, self._gains, adapt=self._adapt
+            tap, self.map.experiments, self.map.free, self.gains, adapt=self._adapt
         )
         return self._single(session, pose, token, now)
 
@@ -424,22 +387,10 @@ class GoalHandling:
         )
 
     def accept_arrangement(
-        self,
-        asked: ArrangeObjects.Goal,
-        token: Token | None,
-        now: Now,
-        kind: type[ArrangementTask] = ArrangementTask,
-        *,
-        ask: bool = False,
+        self, asked: ArrangeObjects.Goal, token: Token | None, now: Now
     ) -> ArrangementTask | Refused:
         """Return a task for an arrangement, or why it is refused. Whether the requested layout can
         be reached is checked later, after every object has been seen."""
-        if self.cell.file.arm is None:
-            return Refused(
-                ErrorCode.NO_ARRANGEMENT,
-                "this cell has fixed tappers, which cannot arrange several objects; use a "
-                "cell with an arm",
-            )
         wanted = self._wanted(asked, now)
         if isinstance(wanted, Refused):
             return wanted
@@ -459,7 +410,7 @@ class GoalHandling:
         bodies = [
             Body(
                 name,
-                self._free_of(name),
+                self._maps[name].empty,
                 self._planner_for(
                     cell, wanted[name].tolerance if name in wanted else cell.tolerance
                 ),
@@ -468,7 +419,7 @@ class GoalHandling:
             )
             for name, cell in self._cells.items()
         ]
-        obstacles = self.other_objects.unknown
+        obstacles = self.objects.unknown
         impossible = check_goals(bodies_among(bodies, obstacles))
         if impossible is not None:
             return Refused(REFUSALS[impossible.reason], impossible.sentence)
@@ -477,7 +428,7 @@ class GoalHandling:
         session = PositioningSession(
             one.goal, body.planner, body.free.space, body.free, self._known[first]
         )
-        return kind(
+        return ArrangementTask(
             object_id=first,
             message=one.message,
             goal=one.goal,
@@ -491,9 +442,8 @@ class GoalHandling:
             known=dict(self._known),
             adapt=self._adapt,
             in_order=asked.in_order,
-            memory=min(self.other_objects.memory, LONGEST_MEMORY_S),
+            memory=min(self.objects.memory, LONGEST_MEMORY_S),
             obstacles=obstacles,
-            ask=ask,
         )
 
     def _wanted(self, asked: ArrangeObjects.Goal, now: Now) -> dict[str, RequestedGoal] | Refused:
@@ -531,10 +481,6 @@ class GoalHandling:
             wanted[one.object_id] = RequestedGoal(message, goal, tolerance)
         return wanted
 
-    def _free_of(self, name: str) -> FreeSpace:
-        """Return the free space of one object on a table without other objects."""
-        return self._free[name] if name in self._free else self._maps.among(()).free
-
     def _planner_for(self, cell: Cell, tolerance: tuple[float, float]) -> Planner:
         """Return the planning method for a cell's object and a tolerance; methods are cached."""
         settings = assembly.make_planner_settings(cell, tolerance)
@@ -553,3 +499,14 @@ def _tolerance_of(cell: Cell, position: float, angle: float) -> tuple[float, flo
         return tolerance
     too_fine = precision_limit(assembly.make_planner_settings(cell, tolerance))
     return Refused(ErrorCode.GOAL_BAD_TOLERANCE, too_fine) if too_fine else tolerance
+
+
+def _slides_like(cell: Cell) -> str:
+    """Return a key that is equal for cells whose objects differ only in name and appearance."""
+    return repr(
+        [
+            getattr(cell.object, entry.name)
+            for entry in fields(cell.object)
+            if entry.name not in APPEARANCE_KEYS
+        ]
+    )

@@ -13,7 +13,7 @@ from tapping_cell.se2 import Pose
 
 
 class PlannerInputs:
-    """Passes each message on to the monitor and to the other objects on the table. Notes which
+    """Passes each message on to the monitor and to the objects on the table. Notes which
     objects the arm may hide from the camera."""
 
     def __init__(self, silence_limit: float) -> None:
@@ -38,7 +38,7 @@ class PlannerInputs:
             self.monitor.on_objects(message, now)
             self._note_others(message, now)
         elif topic == "unknown_objects" and self._goals is not None:
-            self._goals.other_objects.on_unknown(message, self.monitor.camera_clock, now)
+            self._goals.objects.on_unknown(message, self.monitor.camera_clock, now)
         elif topic == "camera/pose":
             place = message.pose.position
             self._lens = (place.x, place.y, place.z)
@@ -47,7 +47,7 @@ class PlannerInputs:
     def _note_others(self, message: Message, now: Now) -> None:
         if self._goals is None:
             return
-        others = self._goals.other_objects
+        others = self._goals.objects
         others.search(message.searches_unknown_objects)
         for state in message.objects:
             name = state.object_id
@@ -65,8 +65,7 @@ class PlannerInputs:
             return False
         if not all(map(math.isfinite, (*tip, *lens, *pose))):
             return False
-        files = (goals.cell.object, *goals.other_objects.files)
-        found = next((one for one in files if one.name == name), None)
+        found = next((one for one in goals.objects.files if one.name == name), None)
         if found is None:
             return False
         place = (pose.x, pose.y, found.height)

@@ -28,7 +28,8 @@ class TableMaps:
     def __init__(self, cell: Cell) -> None:
         self._space = assembly.make_strike_space(cell)
         self._experiments = assembly.make_strike_space(cell, cautious(self._space))
-        self._free = FreeSpace(self._space)
+        self.empty = FreeSpace(self._space)
+        """Map of the table without other objects."""
         self._made: dict[tuple[KeepOut, ...], TableMap] = {}
 
     def among(self, obstacles: Sequence[KeepOut]) -> TableMap:
@@ -37,6 +38,6 @@ class TableMaps:
         if key not in self._made:
             if len(self._made) >= self.KEPT:
                 del self._made[next(iter(self._made))]
-            free = self._free.among(obstacles)
+            free = self.empty.among(obstacles)
             self._made[key] = TableMap(free.space, self._experiments.among(obstacles), free)
         return self._made[key]

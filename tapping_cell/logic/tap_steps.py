@@ -240,11 +240,11 @@ def disturbed(task: Task, shot: Shot, parts: PlannerParts, now: Now) -> bool:
         return True
     if isinstance(task, ArrangementTask):
         return task.others_moved(parts.monitor, *limits) or obstacles_changed(task, parts)
-    return parts.goals.others_moved(now)
+    return parts.goals.others_moved(task, now)
 
 
 def obstacles_changed(task: Task, parts: PlannerParts) -> bool:
     """Return whether the areas of unknown objects differ from those of the last decision."""
     if not isinstance(task, ArrangementTask):
         return False
-    return task.obstacles != parts.goals.other_objects.unknown
+    return task.obstacles != parts.goals.objects.unknown

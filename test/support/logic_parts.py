@@ -11,7 +11,7 @@ from tapping_cell.configuration.objects import ObjectFile
 from tapping_cell.hardware.tapper_protocol import Mode, Reply, Result, State
 from tapping_cell.logic.clock import Now
 from tapping_cell.logic.goal_handling import GoalHandling
-from tapping_cell.logic.other_objects import OtherObjects
+from tapping_cell.logic.objects_on_table import ObjectsOnTable
 from tapping_cell.messages import ObjectState, ObjectStates
 
 
@@ -24,8 +24,9 @@ def goal_handling(
 ) -> GoalHandling:
     """Return the handling of goals of a cell. ``options`` replaces the options that it is given."""
     given = {"adapt": True, "probe": False, "keep_for": "", "time_limit": 600.0, **options}
-    objects = OtherObjects(tuple(others), 5.0, 0.002)
-    return GoalHandling(cell or load_cell(), planner, objects, now, **given)
+    cell = cell or load_cell()
+    objects = ObjectsOnTable((cell.object, *others), 5.0, 0.002)
+    return GoalHandling(cell, planner, objects, now, **given)
 
 
 def alone(state: ObjectState) -> ObjectStates:

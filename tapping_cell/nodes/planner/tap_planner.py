@@ -24,7 +24,7 @@ from tapping_cell.configuration.schema import ConfigurationError, text
 from tapping_cell.logic import effects
 from tapping_cell.logic.fixed_goal_handling import goal_handling_class
 from tapping_cell.logic.host import Configured
-from tapping_cell.logic.other_objects import OtherObjects
+from tapping_cell.logic.objects_on_table import ObjectsOnTable
 from tapping_cell.logic.planner import PlannerLogic
 from tapping_cell.logic.planner_reports import Scene
 from tapping_cell.logic.planner_settings import PlannerSettings
@@ -181,12 +181,12 @@ class TapPlanner(LogicNode[Parameters]):
         """Read the files, create the planning method and the map of the table."""
         settings = self.settings
         cell = load_cell(settings.cell_file or None, settings.object_file or None)
-        others = load_further_objects(cell, settings.other_object_files)
+        objects = (cell.object, *load_further_objects(cell, settings.other_object_files))
         try:
             goals = goal_handling_class(cell)(
                 cell,
                 settings.planner,
-                OtherObjects(others, settings.others_memory, settings.moved_limit),
+                ObjectsOnTable(objects, settings.others_memory, settings.moved_limit),
                 self.host.now(),
                 objective=settings.objective,
                 adapt=settings.adapt,

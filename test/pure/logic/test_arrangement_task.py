@@ -436,17 +436,39 @@ def test_no_tap_is_commanded_if_an_object_was_moved_during_the_decision(cell, mo
 
 
 def test_the_result_of_a_failed_goal_has_the_pose_of_its_own_object(cell: Table) -> None:
-    """The goal fails because another object is hidden."""
-    cell.hidden.add(cell.names[0])
-    name, goal = cell.names[1], moved(cell.poses[cell.names[1]], 0.02, 0.0)
+    name, goal = cell.names[1], moved(cell.poses[cell.names[1]], 0.06, 0.0)
     results: list[PositionObject.Result] = []
-    asked = PositionObject.Goal(object_id=name, goal_pose=goal_of(name, goal).goal_pose)
+    asked = PositionObject.Goal(object_id=name, goal_pose=goal_of(name, goal).goal_pose, max_taps=1)
     cell.process.request("position_object", asked, 2, results.append)
     cell.wait(lambda: results, "the result", 60.0)
     (result,) = results
-    assert result.error_code == ErrorCode.OBJECT_NOT_SEEN
-    assert from_message(result.final_pose.pose.pose).distance_to(cell.poses[name]) < 1e-9
-    assert result.residual_distance == pytest.approx(0.02)
+    assert result.error_code == ErrorCode.TAP_LIMIT_REACHED
+    final = from_message(result.final_pose.pose.pose)
+    assert final.distance_to(cell.poses[name]) < 0.001
+    assert result.residual_distance == pytest.approx(final.distance_to(goal))
+
+
+def test_any_object_can_be_probed(cell: Table) -> None:
+    name = cell.names[1]
+    goal = goal_of(name, moved(cell.poses[name], 0.05, 0.0)).goal_pose
+    results: list[PositionObject.Result] = []
+    asked = PositionObject.Goal(object_id=name, goal_pose=goal, probe=True)
+    cell.process.request("position_object", asked, 2, results.append)
+    cell.wait(lambda: results, "the result", 60.0)
+    assert results[0].error_code == ErrorCode.NONE
+    first = results[0].records[0]
+    assert first.object_id == name and "probe" in first.reason, first.reason
+
+
+def test_a_goal_of_one_object_is_no_arrangement(cell: Table) -> None:
+    name = cell.names[1]
+    goal = goal_of(name, moved(cell.poses[name], 0.02, 0.0)).goal_pose
+    results: list[PositionObject.Result] = []
+    asked = PositionObject.Goal(object_id=name, goal_pose=goal)
+    cell.process.request("position_object", asked, 2, results.append)
+    cell.wait(lambda: results, "the result", 60.0)
+    assert results[0].error_code == ErrorCode.NONE
+    assert not any(report.active for report in cell.reports)
 
 
 def test_an_object_that_leaves_its_goal_during_the_decision_is_tapped(cell, monkeypatch):
@@ -526,7 +548,7 @@ def test_the_arm_withdraws_further_from_any_object_that_it_hides(cell: Table) ->
 def test_a_missing_object_without_a_goal_is_ignored(cell: Table) -> None:
     one, _, third = cell.names
     cell.hidden = {third}
-    cell.run(handling().other_objects.memory + 1.0)
+    cell.run(handling().objects.memory + 1.0)
     cell.send({one: moved(cell.poses[one], 0.02, 0.0)})
     assert cell.end().error_code == ErrorCode.NONE
 
@@ -544,7 +566,7 @@ def test_an_object_under_the_arm_does_not_count_as_removed(cell: Table) -> None:
     over(cell, cell.poses[third])
     cell.run(0.3)
     cell.hidden = {third}
-    cell.run(handling().other_objects.memory + 3.0)
+    cell.run(handling().objects.memory + 3.0)
     cell.on_clear_view = lambda: over(cell, Pose(-0.2, 0.15, 0.0))
     cell.send({one: moved(cell.poses[one], 0.02, 0.0)})
     cell.run(FAST.observe_deadline)
@@ -560,14 +582,14 @@ def test_an_object_that_a_hand_hides_is_awaited_before_the_first_tap() -> None:
     cell.hidden = {third}
     cell.run(0.3)
     cell.send({one: moved(cell.poses[one], 0.02, 0.0)})
-    cell.run(handling().other_objects.memory - 0.8)
+    cell.run(handling().objects.memory - 0.8)
     assert not cell.taps and cell.states[-1].state == PlanState.LOOKING
     cell.hidden = set()
     assert cell.end().error_code == ErrorCode.NONE
 
 
 def test_without_a_memory_a_hidden_object_is_not_awaited(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(handling().other_objects, "memory", 0.0)
+    monkeypatch.setattr(handling().objects, "memory", 0.0)
     cell = Table(settings=PATIENT)
     one, _, third = cell.names
     cell.hidden = {third}
@@ -586,7 +608,7 @@ def test_a_planner_that_has_never_seen_an_object_also_awaits_it() -> None:
     cell.process.start()
     cell.run(0.5)
     cell.send({one: moved(cell.poses[one], 0.02, 0.0)})
-    cell.run(handling().other_objects.memory - 1.0)
+    cell.run(handling().objects.memory - 1.0)
     assert not cell.taps and cell.states[-1].state == PlanState.LOOKING
     assert cell.end().error_code == ErrorCode.NONE
 
@@ -625,7 +647,7 @@ def test_an_object_at_its_goal_is_reported_even_if_a_new_object_blocks_the_other
     cell = Table(settings=PATIENT)
     one, other, third = cell.names
     cell.hidden = {third}
-    cell.run(handling().other_objects.memory + 1.0)
+    cell.run(handling().objects.memory + 1.0)
     goals = {one: moved(cell.poses[one], 0.02, 0.0), other: moved(cell.poses[other], 0.04, 0.0)}
 
     def block() -> None:
@@ -646,7 +668,7 @@ def test_an_object_at_its_goal_is_reported_even_if_a_new_object_blocks_the_other
 def test_an_object_that_is_put_on_the_table_cancels_the_tap_and_is_avoided(cell: Table) -> None:
     one, _, third = cell.names
     cell.hidden = {third}
-    cell.run(handling().other_objects.memory + 1.0)
+    cell.run(handling().objects.memory + 1.0)
     goal = moved(cell.poses[one], 0.05, 0.0)
     cell.send({one: goal})
     cell.wait(lambda: cell.states[-1].state == PlanState.LOOKING, "it looks")

@@ -10,7 +10,7 @@ from test_planner_with_played_devices import Actors
 
 from tapping_cell.configuration.cell import load_cell
 from tapping_cell.logic.clock import Now
-from tapping_cell.logic.other_objects import OtherObjects
+from tapping_cell.logic.objects_on_table import ObjectsOnTable
 from tapping_cell.logic.peer_clock import PeerClock
 from tapping_cell.logic.poses import to_message
 from tapping_cell.messages import (
@@ -105,7 +105,7 @@ def outlines(*found: Polygon) -> UnknownObjects:
 
 
 def test_outlines_are_areas_and_a_moved_one_counts_as_moved() -> None:
-    others, clock, now = OtherObjects((), 5.0, 0.002), PeerClock(), Now(10.0, 10_000_000_000)
+    others, clock, now = ObjectsOnTable((), 5.0, 0.002), PeerClock(), Now(10.0, 10_000_000_000)
     assert others.searched(1e9)
     clock.receive(Time(sec=10), now)
     others.search(True)
@@ -129,7 +129,7 @@ def test_outlines_are_areas_and_a_moved_one_counts_as_moved() -> None:
     ],
 )
 def test_an_outline_that_bounds_no_area_is_skipped(corners: list[tuple[float, float]]) -> None:
-    others, clock, now = OtherObjects((), 5.0, 0.002), PeerClock(), Now(10.0, 10_000_000_000)
+    others, clock, now = ObjectsOnTable((), 5.0, 0.002), PeerClock(), Now(10.0, 10_000_000_000)
     outline = Polygon(points=[Point32(x=x, y=y) for x, y in corners])
     others.search(True)
     others.on_unknown(outlines(outline, square_at(0.1, 0.0)), clock, now)
@@ -147,7 +147,7 @@ def test_a_goal_goes_on_after_an_empty_outline() -> None:
 @pytest.mark.parametrize("wrong", [(math.nan, 0.0, 0.0), (0.0, -1e30, 0.0), (0.0, 0.0, math.nan)])
 def test_a_pose_that_is_not_on_a_table_is_no_observation(wrong: tuple[float, float, float]) -> None:
     file = load_cell().object
-    others, clock, now = OtherObjects((file,), 5.0, 0.002), PeerClock(), Now(10.0, 10_000_000_000)
+    others, clock, now = ObjectsOnTable((file,), 5.0, 0.002), PeerClock(), Now(10.0, 10_000_000_000)
     message = ObjectState(object_id=file.name, visible=True)
     message.header.stamp = Time(sec=9)
     message.pose.pose = to_message(Pose(*wrong))
@@ -162,7 +162,7 @@ def test_a_pose_that_is_not_on_a_table_is_no_observation(wrong: tuple[float, flo
 
 
 def test_a_camera_that_no_longer_searches_reports_no_unknown_objects() -> None:
-    others, clock, now = OtherObjects((), 5.0, 0.002), PeerClock(), Now(100.0, 100_000_000_000)
+    others, clock, now = ObjectsOnTable((), 5.0, 0.002), PeerClock(), Now(100.0, 100_000_000_000)
     others.search(True)
     others.on_unknown(outlines(square_at(0.0, 0.0)), clock, now)
     assert others.unknown and not others.searched(150.0)
@@ -182,7 +182,7 @@ def test_no_tap_is_commanded_before_the_first_search() -> None:
 
 def test_an_obstacle_under_the_arm_is_remembered_until_the_arm_has_left() -> None:
     file = load_cell().object
-    others, clock = OtherObjects((file,), 5.0, 0.002), PeerClock()
+    others, clock = ObjectsOnTable((file,), 5.0, 0.002), PeerClock()
     seen = ObjectState(object_id=file.name, visible=True)
     seen.header.stamp = Time(sec=10)
     seen.pose.pose = to_message(Pose(0.1, 0.0, 0.0))

@@ -1,6 +1,7 @@
-"""The other objects on the table as obstacles for the planner, at their last observed poses.
+"""The objects on the table, at their last observed poses: for the object that is tapped, the others
+are obstacles.
 
-These obstacles include objects without an object file; only the outlines of such objects are known.
+They include objects without an object file; only the outlines of such objects are known.
 """
 
 from __future__ import annotations
@@ -34,15 +35,16 @@ class _Known:
     """Time at which it was last seen, or the arm may have hidden it."""
 
 
-class OtherObjects:
-    """Poses of the objects on the table besides the cell's own object.
+class ObjectsOnTable:
+    """Poses of the cell's objects, and areas of the objects without an object file.
 
     An object that is no longer seen keeps its pose for a while, because a hand may hide it, and for
     as long as the arm may hide it. After that time, the object counts as removed.
     """
 
     def __init__(self, files: Sequence[ObjectFile], memory: float, moved: float) -> None:
-        """``memory`` in s; ``moved``: minimum displacement in m that counts as motion."""
+        """``files``: every object of the cell; ``memory`` in s; ``moved``: minimum displacement in
+        m that counts as motion."""
         self._files = tuple(files)
         self.memory = memory
         """Time after which an unseen object counts as removed, s."""
@@ -54,7 +56,7 @@ class OtherObjects:
 
     @property
     def files(self) -> tuple[ObjectFile, ...]:
-        """Object files of these objects."""
+        """Object files of the cell's objects."""
         return self._files
 
     def on_object(
@@ -110,23 +112,27 @@ class OtherObjects:
         objects."""
         return not self._searches or self._searched_at > since
 
-    def areas(self, now: Now) -> tuple[KeepOut | None, ...]:
-        """Return the areas that the objects cover. First come the objects with an object file, in
-        the order of the files, with None for an object that is not on the table; then the objects
-        without a file."""
-        return (*(self._area(file, now) for file in self._files), *self.unknown)
+    def areas(self, now: Now, tapped: str = "") -> tuple[KeepOut | None, ...]:
+        """Return the areas that all objects but ``tapped`` cover. First come the objects with an
+        object file, in the order of the files, with None for an object that is not on the table;
+        then the objects without a file."""
+        return (
+            *(self._area(file, now) for file in self._files if file.name != tapped),
+            *self.unknown,
+        )
 
-    def moved_since(self, areas: Sequence[KeepOut | None], now: Now) -> bool:
+    def moved_since(self, areas: Sequence[KeepOut | None], now: Now, tapped: str = "") -> bool:
         """Return whether an object has moved or appeared since :meth:`areas` returned ``areas``."""
-        return any(area is not None and area not in areas for area in self.areas(now))
+        return any(area is not None and area not in areas for area in self.areas(now, tapped))
 
-    def unobserved(self, since: float) -> str:
-        """Return the names of the objects that the camera has not observed since ``since``, in s of
-        the steady clock; empty if there are no such objects."""
+    def unobserved(self, since: float, tapped: str) -> str:
+        """Return the names of the objects besides ``tapped`` that the camera has not observed since
+        ``since``, in s of the steady clock; empty if there are no such objects."""
         return ", ".join(
             f"'{file.name}'"
             for file in self._files
-            if file.name not in self._known or self._known[file.name].observed_at <= since
+            if file.name != tapped
+            and (file.name not in self._known or self._known[file.name].observed_at <= since)
         )
 
     def _area(self, file: ObjectFile, now: Now) -> KeepOut | None:
