@@ -170,7 +170,7 @@ class ArmDriver:
         except HardwareFault as fault:
             if fault.reason is not FaultReason.STOPPED:
                 self.close()
-            raise self._noted(fault) from fault.__cause__
+            raise self._record_fault(fault) from fault.__cause__
         held = self._confirmed is not None and self._agrees(self._confirmed, reading.joints)
         if not (firmware.continued and held and not reading.alarm):
             self._homed = False
@@ -207,8 +207,8 @@ class ArmDriver:
                 joints = self._declare(strategy)
         except HardwareFault as fault:
             if fault.reason is FaultReason.TIMEOUT:
-                raise self._halted(fault) from fault
-            raise self._noted(fault) from fault.__cause__
+                raise self._stop_after(fault) from fault
+            raise self._record_fault(fault) from fault.__cause__
         self._confirmed = joints
         self._homed = True
         return joints
@@ -219,7 +219,7 @@ class ArmDriver:
         try:
             self._fresh = self._read()
         except HardwareFault as fault:
-            raise self._noted(fault) from fault.__cause__
+            raise self._record_fault(fault) from fault.__cause__
         return self._fresh
 
     def read_joints(self) -> Joints:
@@ -235,7 +235,7 @@ class ArmDriver:
             try:
                 self._fresh = reading = self._read_at_rest()
             except HardwareFault as fault:
-                raise self._noted(fault) from fault.__cause__
+                raise self._record_fault(fault) from fault.__cause__
         return self._within_limits(reading.joints)
 
     def move_to(
@@ -273,7 +273,7 @@ class ArmDriver:
         try:
             return self._move(legs, speeds, deadline)
         except HardwareFault as fault:
-            raise self._noted(fault) from fault.__cause__
+            raise self._record_fault(fault) from fault.__cause__
 
     def follow(self, path: Iterable[Waypoint]) -> ArmReading:
         """Move to each waypoint in turn, settle, and verify the end; raises as ``move_to``."""
@@ -296,9 +296,9 @@ class ArmDriver:
                 # The report may have been garbled, so read again before the move counts as failed.
                 reading = self._read()
                 if reading.moving or not self._agrees(goal, reading.joints):
-                    raise self._mismatch(goal, reading.joints)
+                    raise self._mismatch_fault(goal, reading.joints)
         except HardwareFault as fault:
-            raise self._noted(fault) from fault.__cause__
+            raise self._record_fault(fault) from fault.__cause__
         return reading
 
     def stop(self) -> bool:
@@ -340,7 +340,7 @@ class ArmDriver:
         except HardwareFault as fault:
             if fault.reason is FaultReason.NEEDS_PERSON:
                 self.close()
-            noted = self._noted(fault)
+            noted = self._record_fault(fault)
             if must_unlock and noted.reason in LINE_LOST:
                 # The loss of the connection is not latched, because the next connect restores the
                 # connection. An earlier fault stays latched.
@@ -377,7 +377,7 @@ class ArmDriver:
             reading, failure = self._follow(path, deadline)
         except HardwareFault as fault:
             if fault.reason is FaultReason.TIMEOUT:
-                raise self._halted(
+                raise self._stop_after(
                     HardwareFault(
                         FaultReason.TIMEOUT,
                         f"a move that should take {duration:.2f} s had not ended"
@@ -385,12 +385,12 @@ class ArmDriver:
                     )
                 ) from fault
             if fault.reason is FaultReason.REJECTED:
-                raise self._halted(fault) from fault
+                raise self._stop_after(fault) from fault
             raise
         if failure is not None:
             failure = self._beyond_limit(reading.joints) or failure
             if reading.moving:
-                raise self._halted(failure)
+                raise self._stop_after(failure)
         self._confirmed = reading.joints
         if failure is not None:
             raise failure
@@ -448,7 +448,7 @@ class ArmDriver:
             if reading.moving or not stands:
                 break
             path = _Path(path.places[stands[-1] :], path.speeds[stands[-1] :])
-        return reading, refusal or self._mismatch(goal, reading.joints)
+        return reading, refusal or self._mismatch_fault(goal, reading.joints)
 
     def _duration(self, path: _Path) -> float:
         return sum(move_duration(self.geometry, a, b, speed) for a, b, speed in path.legs())
@@ -491,7 +491,7 @@ class ArmDriver:
         if home is None:
             check_limits(self.geometry, self._within_limits(joints))
         elif not self._agrees(home, joints):
-            raise self._mismatch(home, joints)
+            raise self._mismatch_fault(home, joints)
         return joints
 
     def _declare(self, strategy: HomingStrategy) -> Joints:
@@ -516,7 +516,7 @@ class ArmDriver:
         self._dialect.set_position(self._to_axes(target), self._reply_deadline())
         reading = self._read()
         if not self._agrees(target, reading.joints):
-            raise self._mismatch(target, reading.joints)
+            raise self._mismatch_fault(target, reading.joints)
         return reading.joints
 
     def _recent(self) -> ArmReading | None:
@@ -599,7 +599,7 @@ class ArmDriver:
     def _axes_within(self, axes: Axes) -> bool:
         return self._beyond_limit(self._to_joints(axes)) is None
 
-    def _mismatch(self, goal: Joints, found: Joints) -> HardwareFault:
+    def _mismatch_fault(self, goal: Joints, found: Joints) -> HardwareFault:
         return HardwareFault(
             FaultReason.POSITION_MISMATCH,
             f"the arm is at {joints_text(found)}, but should be at {joints_text(goal)} (tolerance "
@@ -614,7 +614,7 @@ class ArmDriver:
         counters.received = ReceivedBytes()
         self._lines_before = counters.lines, counters.bad_lines
 
-    def _named(self, fault: HardwareFault) -> HardwareFault:
+    def _diagnose(self, fault: HardwareFault) -> HardwareFault:
         """If unreadable replies caused the fault, return a PROTOCOL fault instead. While
         connecting, replies that are text but cannot be decoded come from another firmware:
         UNKNOWN_FIRMWARE is then returned.
@@ -665,7 +665,7 @@ class ArmDriver:
         if homed and not self._homed:
             raise HardwareFault(FaultReason.NOT_HOMED, "the arm is not homed: home it first")
 
-    def _noted(self, fault: HardwareFault) -> HardwareFault:
+    def _record_fault(self, fault: HardwareFault) -> HardwareFault:
         """Record a fault in the driver's state and return the fault to raise.
 
         If a fault is latched, the latched fault is returned instead of a later one, because later
@@ -677,7 +677,7 @@ class ArmDriver:
             fault = self._fault or self._stop_fault()
         if fault is self._fault:
             return fault
-        fault = self._named(fault)
+        fault = self._diagnose(fault)
         self.counters.last_error = fault.sentence
         if fault.reason is FaultReason.DISCONNECTED:
             self._connected = False
@@ -692,9 +692,9 @@ class ArmDriver:
         self._fault = self._fault or fault
         return self._fault
 
-    def _halted(self, fault: HardwareFault) -> HardwareFault:
+    def _stop_after(self, fault: HardwareFault) -> HardwareFault:
         """Stop the arm after a motion has failed, and latch the fault."""
-        fault = self._named(fault)
+        fault = self._diagnose(fault)
         result = (
             "the arm was stopped: "
             if self.stop()

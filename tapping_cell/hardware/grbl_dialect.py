@@ -100,7 +100,7 @@ class GrblDialect(LineDialect[grbl.Frame]):
         self._columns = list(range(AXIS_COUNT))
         self._homed_place: list[float | None] = []
         self._count = 0
-        self._homed_unknown = ""
+        self._homing_problem = ""
         self._feed_override = 100
         self._unanswered = False
         self._marker = MARKERS[0]
@@ -235,8 +235,8 @@ class GrblDialect(LineDialect[grbl.Frame]):
             self._pump(POLL_PERIODS[1])
         # The settings may have been changed since the connection was made, so compare them again.
         controller_needs.refuse(self._compared(deadline))
-        if self._homed_unknown:
-            raise HardwareFault(FaultReason.HOMING_FAILED, self._homed_unknown)
+        if self._homing_problem:
+            raise HardwareFault(FaultReason.HOMING_FAILED, self._homing_problem)
         began = self._transport.now()
         try:
             self._command(b"$H\n", deadline)
@@ -597,7 +597,7 @@ class GrblDialect(LineDialect[grbl.Frame]):
         """Return the findings of ``_compare``. If a setting is not as required, the settings are
         queried once more, because a line of the answer may have been garbled."""
         findings = self._compare(deadline)
-        if self._homed_unknown or not all(finding.met for finding in findings):
+        if self._homing_problem or not all(finding.met for finding in findings):
             self.counters.retries += 1
             findings = self._compare(deadline)
         return findings
@@ -611,8 +611,8 @@ class GrblDialect(LineDialect[grbl.Frame]):
         findings: list[Finding] = []
         if controller.has_files:
             self._learn_homed_place_by_name(deadline)
-            held = self._named(controller.hold_setting, deadline)
-            inches = self._named("$/report_inches", deadline)
+            held = self._read_setting(controller.hold_setting, deadline)
+            inches = self._read_setting("$/report_inches", deadline)
             findings.append(
                 Finding(
                     "$/report_inches",
@@ -658,8 +658,8 @@ class GrblDialect(LineDialect[grbl.Frame]):
                     "" if controller.has_files else f"$22={int(found.get(22, 0)) | 1}",
                 )
             )
-            if self._homed_unknown:
-                findings.append(Finding("homing", "incomplete", self._homed_unknown, False))
+            if self._homing_problem:
+                findings.append(Finding("homing", "incomplete", self._homing_problem, False))
         for number, value in settings.expected.items():
             if number not in found and controller.has_files and number == 13:
                 continue
@@ -677,8 +677,8 @@ class GrblDialect(LineDialect[grbl.Frame]):
             )
         return findings + self._limits(found)
 
-    def _named(self, name: str, deadline: float) -> str:
-        """Return the value of a named setting; "missing" if the controller does not have it."""
+    def _read_setting(self, name: str, deadline: float) -> str:
+        """Query a setting by its name; "missing" if the controller does not have it."""
         try:
             frames = self._retried(name.encode() + b"\n", deadline)
         except HardwareFault as fault:
@@ -723,13 +723,13 @@ class GrblDialect(LineDialect[grbl.Frame]):
         Homing ends at a distance of $27 (pull-off) from the end of travel that has the switch; $23
         tells which end this is. In some builds, the position after homing is set to zero.
         """
-        self._homed_unknown = ""
+        self._homing_problem = ""
         self._homed_place = list(self._settings.home_place or ())
         needed = [23, 27, *(130 + column for column in self._columns)]
         missing = [f"${number}" for number in needed if number not in found]
         if not self._homed_place:
             if missing:
-                self._homed_unknown = (
+                self._homing_problem = (
                     f"the controller does not list {', '.join(missing)}, so the position "
                     "after homing is unknown: connect again; if it persists, set "
                     "arm.home_place"
@@ -753,7 +753,7 @@ class GrblDialect(LineDialect[grbl.Frame]):
                 self._homed_place[axis] = None
             elif masks and not any(mask >> column & 1 for mask in masks):
                 first = self._controller.homing_masks[0]
-                self._homed_unknown = (
+                self._homing_problem = (
                     f"the controller's homing leaves out axis {self._settings.letters[axis]}"
                     f" (${first} to ${first + 3}): add it there, or name its joint in"
                     " arm.axes_without_switch"
@@ -761,25 +761,25 @@ class GrblDialect(LineDialect[grbl.Frame]):
 
     def _learn_homed_place_by_name(self, deadline: float) -> None:
         """Read the homed position from the controller's named settings."""
-        self._homed_unknown = ""
+        self._homing_problem = ""
         self._homed_place = list(self._settings.home_place or (None,) * AXIS_COUNT)
         for axis, letter in enumerate(self._settings.letters):
             if axis in self._settings.without_switch:
                 self._homed_place[axis] = None
                 continue
             section = f"$/axes/{letter.lower()}/homing"
-            cycle = self._named(f"{section}/cycle", deadline)
+            cycle = self._read_setting(f"{section}/cycle", deadline)
             if not cycle.lstrip("-").isdigit() or int(cycle) < 1:
-                self._homed_unknown = (
+                self._homing_problem = (
                     f"the controller's homing leaves out axis {letter} ({section}/cycle is"
                     f" {cycle}): give it a cycle, or name its joint in arm.axes_without_switch"
                 )
             elif self._settings.home_place is None:
-                text = self._named(f"{section}/mpos_mm", deadline)
+                text = self._read_setting(f"{section}/mpos_mm", deadline)
                 try:
                     self._homed_place[axis] = float(text)
                 except ValueError:
-                    self._homed_unknown = (
+                    self._homing_problem = (
                         f"the controller does not report {section}/mpos_mm, so the position "
                         "after homing is unknown: connect again; if it persists, set "
                         "arm.home_place"

@@ -424,7 +424,7 @@ class PlannerLogic:
         self._confirmations.forget()
         self._monitor.watch(task.object_id)  # the result contains the pose of this object
         if shot is not None:
-            task.lose(shot)
+            task.record_unobserved(shot)
         task.end(how.code, how.sentence)
         subject = Subject(how.state, task, shot)
         self._effects.extend(self._make_report(subject, now, how.code, how.sentence))

@@ -94,6 +94,8 @@ class MultiPlanner:
         settings = self.settings
         r = np.asarray(distance, dtype=float)
         path = np.maximum(r, np.abs(rotation) / settings.cone_slope)
+        # The weight 0.2 is small, so that the number of taps decides between states of a similar
+        # distance. Beyond the largest tabulated distance, each largest tap counts as one tap.
         beyond = np.maximum(r - self.distances[-1], 0.0)
         return np.asarray(
             self.planned_taps(distance, rotation)
