@@ -283,13 +283,13 @@ class PlannerLogic:
         refused: Refused | None = goal_requests.NOT_ACTIVE
         if self._active:
             refused = goal_requests.refusal(asked, self._task, self._monitor)
-        task = self._accepted(asked, token, now, refused)
+        task = self._accept(asked, token, now, refused)
         if task is not None:
             self._begin(task, now)
             if isinstance(asked, Request):
                 task.sent = to_nanoseconds(asked.message.header.stamp) or task.sent
 
-    def _accepted(
+    def _accept(
         self,
         asked: Request | SingleTap.Goal | ArrangeObjects.Goal,
         token: Token | None,
@@ -331,7 +331,7 @@ class PlannerLogic:
         if outdated:
             self._log(LogLevel.WARNING, outdated)
             return
-        task = self._accepted(kept.remaining(now), None, now)
+        task = self._accept(kept.remaining(now), None, now)
         if task is None:
             return
         task.is_resumed, task.earlier_taps = True, kept.request.earlier_taps

@@ -57,7 +57,7 @@ def act(
     error = tap_counts.exhausted(task, parts.settings, parts.monitor.pose_of(task.object_id))
     if error is not None:
         yield failed(*error)
-    elif parts.monitor.missing(now) is not None:
+    elif parts.monitor.why_not_ready(now) is not None:
         yield from wait_again(at, parts, now)
     else:
         yield from _plan(look, decision, task.before(seen), parts, now)
@@ -137,11 +137,11 @@ def answered(
     if not is_confirmed:
         task.skip(shot.strike)
         return accepted, drop_proposal(at, "it was skipped", parts, now)
-    missing, needed = monitor.missing(now), parts.settings.frames_needed
+    missing, needed = monitor.why_not_ready(now), parts.settings.frames_needed
     if missing is not None:
         steps = wait_again(at, parts, now)
     elif not task.observed(monitor, at.look.since, needed, now):
-        missing = monitor.blind(None, needed, now)
+        missing = monitor.why_not_observed(None, needed, now)
         why = "the object has not been observed at rest in enough images"
         steps = drop_proposal(at, why, parts, now)
     else:

@@ -501,37 +501,37 @@ def plan_rotation(rotation: ArrayLike, gain: ArrayLike, box: float) -> Array:
 
 
 def command_of(
-    number: Array,
+    learnt: Array,
     distance: ArrayLike,
     rotation: ArrayLike,
     heading: ArrayLike,
     orientation: ArrayLike,
     cone_slope: float = math.inf,
 ) -> Array:
-    """Compute what ``Gains.command`` returns. ``number`` (..., 6) contains the parameters of
-    ``Gains.value``; its leading axes must broadcast with those of the taps."""
+    """Compute what ``Gains.command`` returns. ``learnt`` is ``Gains.value``, (..., 6); its leading
+    axes must broadcast with those of the taps."""
     travel = np.asarray(distance, dtype=float)
     size = np.maximum(np.abs(travel), 1e-12)
     along = np.asarray(heading, dtype=float) + np.where(travel < 0.0, math.pi, 0.0)
-    drift = _across(number, along - np.asarray(orientation, dtype=float))
-    slope = np.asarray(rotation, dtype=float) / size - drift / number[..., 1]
+    drift = _across(learnt, along - np.asarray(orientation, dtype=float))
+    slope = np.asarray(rotation, dtype=float) / size - drift / learnt[..., 1]
     slope = np.clip(slope, -cone_slope, cone_slope)
-    along = along - number[..., 2] - number[..., 3] * slope
-    length = size / number[..., 0]
+    along = along - learnt[..., 2] - learnt[..., 3] * slope
+    length = size / learnt[..., 0]
     return np.stack([length * np.cos(along), length * np.sin(along), slope * length], axis=-1)
 
 
-def prediction_of(number: Array, commanded: ArrayLike, orientation: ArrayLike) -> Array:
-    """Compute what ``Gains.predict`` returns. ``number`` (..., 6) contains the parameters of
-    ``Gains.value``; its leading axes must broadcast with those of the taps."""
+def prediction_of(learnt: Array, commanded: ArrayLike, orientation: ArrayLike) -> Array:
+    """Compute what ``Gains.predict`` returns. ``learnt`` is ``Gains.value``, (..., 6); its leading
+    axes must broadcast with those of the taps."""
     command = np.asarray(commanded, dtype=float)
     length = np.hypot(command[..., 0], command[..., 1])
     slope = command[..., 2] / np.maximum(length, 1e-12)
     along = np.arctan2(command[..., 1], command[..., 0])
-    along = along + number[..., 2] + number[..., 3] * slope
-    length = length * number[..., 0]
-    drift = _across(number, along - np.asarray(orientation, dtype=float))
-    turn = length * (number[..., 1] * slope + drift)
+    along = along + learnt[..., 2] + learnt[..., 3] * slope
+    length = length * learnt[..., 0]
+    drift = _across(learnt, along - np.asarray(orientation, dtype=float))
+    turn = length * (learnt[..., 1] * slope + drift)
     return np.stack([length * np.cos(along), length * np.sin(along), turn], axis=-1)
 
 
@@ -573,8 +573,8 @@ def _directions(travel: Array) -> tuple[Array, Array]:
     return -np.sin(travel), np.cos(travel)
 
 
-def _across(number: Array, travel: Array) -> Array:
+def _across(learnt: Array, travel: Array) -> Array:
     """Return the rotation per distance (rad/m) due to the offset, for directions in the object's
     frame."""
     first, second = _directions(travel)
-    return np.asarray(number[..., 4] * first + number[..., 5] * second)
+    return np.asarray(learnt[..., 4] * first + learnt[..., 5] * second)
