@@ -125,7 +125,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         self._last_withdrawal: Withdrawing | None = None
         """Last withdrawal; None once the arm was moved again."""
         self._last_tap_id = 0
-        self._last_id = 0
+        self._last_command_id = 0
         """Id of the last command, a TAP or a CLEAR_VIEW."""
         self._deactivating = False
         """Whether a job abandoned at the deactivation still runs."""
@@ -136,7 +136,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         self._locked = False
         """Whether the last attempt to connect found the controller in a state, such as sleep, in
         which it refuses queries."""
-        self._clears = False
+        self._clear_requested = False
         """Whether a person has requested the end of this state."""
         self._is_released = False
         """Whether no enabling device was held at the end of the last attempt to connect, although
@@ -202,7 +202,7 @@ class ArmLogic(DeviceLogic[State, Event]):
             self._refuse(code, f"tap {command.tap_id} refused: {sentence}")
             return
         self._error = (ErrorCode.NONE, "")
-        self._last_id = command.tap_id
+        self._last_command_id = command.tap_id
         if command.request == TapCommand.CLEAR_VIEW:
             self._carry_out(self._cycle.clear_view(self._camera, now))
             return
@@ -250,7 +250,7 @@ class ArmLogic(DeviceLogic[State, Event]):
             return enabling.RELEASED
         if tap_commands.expired(command, now):
             return ErrorCode.ARM_COMMAND_EXPIRED, tap_commands.overdue(command, now)
-        return tap_commands.refusal(command, now, self._last_id)
+        return tap_commands.refusal(command, now, self._last_command_id)
 
     def _refuse(self, code: int, sentence: str) -> None:
         """Report why a command is refused. If the arm is idle, its state contains the reason until
@@ -554,8 +554,8 @@ class ArmLogic(DeviceLogic[State, Event]):
         if self._stops.stopped or self._is_released:
             # The arm may still complete a move that an earlier process of this node has commanded.
             driver.stop_when_opened()
-        if self._clears:
-            self._clears = False
+        if self._clear_requested:
+            self._clear_requested = False
             driver.clear_fault(self.patience)
 
     def _unreachable(self, fault: HardwareFault, now: Now) -> None:
@@ -563,7 +563,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         self._is_released = not self._enabled(now)
 
     def _clears_at_next_attempt(self) -> bool:
-        self._clears = self._locked
+        self._clear_requested = self._locked
         return self._locked
 
     def _connected(self, answer: Any, now: Now) -> None:

@@ -337,10 +337,10 @@ class DeviceLogic(ABC, Generic[State, Event]):
             self._reading = None
             is_defect = not isinstance(event.fault, HardwareFault | None)
             if (self._job is None or is_defect) and not self._stops.stopped:
-                self._end(event, "read", now)
+                self._handle_job_end(event, "read", now)
         elif event.job == self._job:
             self._job = None
-            self._end(event, self._job_name, now)
+            self._handle_job_end(event, self._job_name, now)
         else:
             if event.job == self._clear_job and self._stops.stopped:
                 # This job may have cleared the device's stop just after the new stop was sent.
@@ -393,7 +393,7 @@ class DeviceLogic(ABC, Generic[State, Event]):
         elif isinstance(lost, UnansweredRequest) and lost.service == "~/stop":
             self._stops.press()
 
-    def _end(self, event: JobEnded, name: str, now: Now) -> None:
+    def _handle_job_end(self, event: JobEnded, name: str, now: Now) -> None:
         fault = event.fault
         if fault is None:
             if name == "read":

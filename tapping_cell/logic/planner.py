@@ -318,7 +318,7 @@ class PlannerLogic:
         self._resumption.take()  # a goal that arrives before the resumption is newer
         self._confirmations.begin(task.is_resumed)
         self._monitor.watch(task.object_id)
-        self._effects.extend(self._resumption.keep(task, False, now))
+        self._effects.extend(self._resumption.keep(task, now, is_tapping=False))
         task.sent = now.ros - round(SKEW_LIMIT_S * NANOSECONDS)
         self._log(LogLevel.INFO, task.description())
         deadline = now.steady + self._settings.ready_deadline
@@ -391,7 +391,7 @@ class PlannerLogic:
         self._confirmations.change(ask)
         if self._task is not None:
             is_tapping = shot_of(self._record) is not None
-            self._effects.extend(self._resumption.keep(self._task, is_tapping, now))
+            self._effects.extend(self._resumption.keep(self._task, now, is_tapping=is_tapping))
         if self._active:
             self._report_again(now)
 

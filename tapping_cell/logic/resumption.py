@@ -50,7 +50,7 @@ class Resumption:
         self._kept: KeptGoal | None = None
         self._stop: CodedError | None = None
 
-    def keep(self, task: Task, is_tapping: bool, now: Now) -> Iterator[Effect]:
+    def keep(self, task: Task, now: Now, *, is_tapping: bool) -> Iterator[Effect]:
         """Store a goal. ``is_tapping``: whether a tap is under way; it counts, because its outcome
         is not known after a crash."""
         if task.resumable and self._within > 0:

@@ -110,7 +110,7 @@ def look(at: Looking, parts: PlannerParts, now: Now) -> Steps:
             if tap_counts.exhausts(task, shot, parts.settings, is_late=True):
                 yield failed(ErrorCode.NOT_READY, GIVEN_UP)
                 return
-            yield from parts.resumption.keep(task, False, now)
+            yield from parts.resumption.keep(task, now, is_tapping=False)
     # While the arm may hide a part of the table, the camera does not search for unknown objects.
     search_since = at.since if monitor.is_withdrawn(now) else -math.inf
     unknown = parts.goals.update_free_space(task, at.since, search_since, now)

@@ -166,7 +166,8 @@ def drop_proposal(at: Confirming, why: str, parts: PlannerParts, now: Now) -> St
 def command(task: Task, shot: Shot, parts: PlannerParts, now: Now) -> Steps:
     """Command one tap."""
     settings = parts.settings
-    yield from parts.resumption.keep(task, True, now)  # first, so that no crash loses the tap
+    # First, so that no crash loses the tap.
+    yield from parts.resumption.keep(task, now, is_tapping=True)
     allowance = settings.place_deadline + settings.fire_deadline
     yield parts.sender.tap(shot, allowance, parts.goals.cell.strike_height, now)
     if parts.monitor.has_arm:
