@@ -134,7 +134,7 @@ class GoalHandling:
         self._cells = {
             file.name: replace(cell, object=file) for file in (cell.object, *other_objects.files)
         }
-        self._known = {cell.object.name: self._gains} | {
+        self._learnt_gains = {cell.object.name: self._gains} | {
             file.name: load_gains(file.name, keep_for) if keep_for else Gains.start()
             for file in other_objects.files
         }
@@ -284,8 +284,8 @@ class GoalHandling:
     def learn(self, task: Task) -> None:
         """Use the corrections of the model that were learnt from a goal's taps, also before the
         goal has ended, for the goals that are accepted from now on."""
-        self._known |= task.learnt()
-        self._gains = self._known[self.cell.object.name]
+        self._learnt_gains |= task.learnt()
+        self._gains = self._learnt_gains[self.cell.object.name]
 
     def keep_learnt(self, task: Task) -> None:
         """Store the corrections that were learnt in a goal for later runs, if the cell keeps them.
@@ -475,7 +475,7 @@ class GoalHandling:
         first, one = next(iter(wanted.items()))
         body = next(body for body in bodies if body.name == first)
         session = PositioningSession(
-            one.goal, body.planner, body.free.space, body.free, self._known[first]
+            one.goal, body.planner, body.free.space, body.free, self._learnt_gains[first]
         )
         return kind(
             object_id=first,
@@ -488,7 +488,7 @@ class GoalHandling:
             expires=now.steady + (asked.time_limit or self._time_limit * len(wanted)),
             wanted=wanted,
             bodies=bodies,
-            known=dict(self._known),
+            known=dict(self._learnt_gains),
             adapt=self._adapt,
             in_order=asked.in_order,
             memory=min(self.other_objects.memory, LONGEST_MEMORY_S),
