@@ -215,12 +215,12 @@ class _Problem:
 
     def _make_axes(self, most: float) -> None:
         wide, turn = (4 * size + 1 for size in self.grid.size)
-        self.entries = wide * wide * turn
+        self._beyond = wide * wide * turn
         grid = self.grid
         self._axes = (
-            _Axis(grid.along, grid.size[0], wide * turn, self.entries, most),
-            _Axis(grid.along, grid.size[0], turn, self.entries, most),
-            _Axis(grid.turn, grid.size[1], 1, self.entries, math.pi * 1.01),
+            _Axis(grid.along, grid.size[0], wide * turn, self._beyond, most),
+            _Axis(grid.along, grid.size[0], turn, self._beyond, most),
+            _Axis(grid.turn, grid.size[1], 1, self._beyond, math.pi * 1.01),
         )
 
     def start(self, coarse: Solution | None) -> Array:
@@ -254,10 +254,10 @@ class _Problem:
         flat = lengths.reshape(lengths.shape[0], -1)
         return kept // self._per_tapper, np.take_along_axis(flat, kept, axis=1)
 
-    def _leads_to(
+    def _end_entries(
         self, rows: slice, tapper: NDArray[np.intp], length: Singles, points: Singles
     ) -> Indices:
-        """Return the table indices, (n, k, p), of the states after taps (n, k) of the given
+        """Return the indices in ``_table``, (n, k, p), of the states after taps (n, k) of the given
         states."""
         heading = np.take_along_axis(self.heading[rows], tapper, axis=1)
         slope = np.take_along_axis(self.slope[rows], tapper, axis=1)
@@ -265,10 +265,10 @@ class _Problem:
         entry = self._axes[0].index(x)
         entry += self._axes[1].index(y)
         entry += self._axes[2].index(turn)
-        np.minimum(entry, self.entries, out=entry)
+        np.minimum(entry, self._beyond, out=entry)
         inside = (x * x + y * y <= self.box[0] ** 2) & (np.abs(turn) <= self.box[1])
-        entry[inside] = self.entries + 1
-        entry[~np.take_along_axis(self.usable[rows], tapper, axis=1)] = self.entries + 2
+        entry[inside] = self._beyond + 1  # the entries of ``_table`` after the grid
+        entry[~np.take_along_axis(self.usable[rows], tapper, axis=1)] = self._beyond + 2
         return entry
 
     def _cost(self, rows: slice, tapper: NDArray[np.intp], length: Singles) -> Singles | float:
@@ -325,7 +325,7 @@ class _Problem:
         few = self.points[: len(self.points) // 2]
         for rows in self._chunks(count * few.shape[0]):
             taps = self._taps(rows)
-            mean = table[self._leads_to(rows, *taps, few)].mean(axis=-1)
+            mean = table[self._end_entries(rows, *taps, few)].mean(axis=-1)
             mean += self._cost(rows, *taps)
             kept[rows] = np.argpartition(mean, MAX_KEPT, axis=1)[:, :MAX_KEPT]
         self.kept = kept
@@ -342,7 +342,7 @@ class _Problem:
         for rows in self._chunks(count * len(self.points)):
             tapper, lengths = self._taps(rows)
             if first:
-                self._after[rows] = self._leads_to(rows, tapper, lengths, self.points)
+                self._after[rows] = self._end_entries(rows, tapper, lengths, self.points)
             mean = table[self._after[rows]].mean(axis=-1)
             mean += self._cost(rows, tapper, lengths)
             best = np.argmin(mean, axis=1)[:, None]
@@ -354,7 +354,7 @@ class _Problem:
             )
             nearby = np.clip(nearby, low, high)
             same_tapper = np.broadcast_to(best_tapper, nearby.shape)
-            mean = table[self._leads_to(rows, same_tapper, nearby, self.points)].mean(axis=-1)
+            mean = table[self._end_entries(rows, same_tapper, nearby, self.points)].mean(axis=-1)
             mean += self._cost(rows, same_tapper, nearby)
             best = np.argmin(mean, axis=1)[:, None]
             chosen[rows] = best_tapper[:, 0]
