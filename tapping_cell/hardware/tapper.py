@@ -280,10 +280,10 @@ class TapperDriver(RecordingTapper):
                     " power and that its firmware is loaded",
                 )
         if reply.version.split(".")[0] != PROTOCOL_VERSION:
-            raise self._other_firmware(reply.version)
+            raise self._firmware_fault(reply.version)
         return reply
 
-    def _other_firmware(self, version: str) -> HardwareFault:
+    def _firmware_fault(self, version: str) -> HardwareFault:
         return self._record_fault(
             FaultReason.UNKNOWN_FIRMWARE,
             f"tapper firmware {version} uses another protocol than this driver (version"
@@ -699,7 +699,7 @@ class TapperDriver(RecordingTapper):
             if isinstance(decoded.frame, Reply):
                 replies.append(decoded.frame)
             elif isinstance(decoded.frame, OtherFirmware):
-                raise self._other_firmware(decoded.frame.version)
+                raise self._firmware_fault(decoded.frame.version)
             else:
                 self.counters.bad_frames += 1
                 self.counters.damaged_frames += decoded.frame.damaged

@@ -249,7 +249,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         if not self._enabled(now):
             return enabling.RELEASED
         if tap_commands.expired(command, now):
-            return ErrorCode.ARM_COMMAND_EXPIRED, tap_commands.overdue(command, now)
+            return ErrorCode.ARM_COMMAND_EXPIRED, tap_commands.expiry_message(command, now)
         return tap_commands.refusal(command, now, self._last_command_id)
 
     def _refuse(self, code: int, sentence: str) -> None:
@@ -388,7 +388,7 @@ class ArmLogic(DeviceLogic[State, Event]):
 
     def _hold_still_refusal(self, request: HoldStill.Request, now: Now) -> CodedError | None:
         """Return why the arm refuses to promise to stand still, or None."""
-        if (error := self._still.invalid(request) or self._conflict) is not None:
+        if (error := self._still.duration_error(request) or self._conflict) is not None:
             return error
         at = self._serving
         if not self._active or not isinstance(at, InPosition) or request.tap_id != at.tap_id:
@@ -397,7 +397,7 @@ class ArmLogic(DeviceLogic[State, Event]):
                 f"the arm is not in position for tap {request.tap_id}: its state is"
                 f" {self.state.value} and the tap that it serves is {self._tap_id} (0: none)",
             )
-        if (error := self._still.repeated(request)) is not None:
+        if (error := self._still.repetition_error(request)) is not None:
             return error
         age = self._readings.age(now)
         if age > FRESH_READING_S or at.deviating or now.ros > at.tap.expiry:

@@ -301,9 +301,9 @@ class CellMonitor:
             return ErrorCode.TAPPER_INTERLOCK_OPEN, "the tapper's interlock is open; close it"
         if not self._observed or self.silent("object", now):
             return ErrorCode.CAMERA_SILENT, self._silence("object", now)
-        return self._skew(now)
+        return self._clock_error(now)
 
-    def _skew(self, now: Now) -> CodedError | None:
+    def _clock_error(self, now: Now) -> CodedError | None:
         skewed = skewed_clock(self._clocks, now)
         if skewed is None:
             return None
@@ -380,7 +380,7 @@ class CellMonitor:
         arm = self.arm
         return arm is not None and arm.tap_id == tap_id and arm.state == ArmState.IN_POSITION
 
-    def out_of_reach(self, tap_id: int) -> CodedError | None:
+    def reach_error(self, tap_id: int) -> CodedError | None:
         """Return why the arm cannot reach the strike pose of this tap, or None if the arm has not
         reported this error."""
         arm = self.arm
@@ -466,7 +466,7 @@ class CellMonitor:
             )
         age = now.steady - self.observed_at(now)
         if age > self._silence_limit:
-            return self._skew(now) or (
+            return self._clock_error(now) or (
                 ErrorCode.CAMERA_SILENT,
                 f"the last image is {age:.2f} s old (limit {self._silence_limit:.2f} s); check the"
                 " camera's rate and the connection to its computer",

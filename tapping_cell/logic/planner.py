@@ -327,7 +327,7 @@ class PlannerLogic:
     def _resume(self, kept: KeptGoal, now: Now) -> None:
         """Resume the goal of a planner that crashed. If a stop or a fault has been reported since
         the start of this planner, end the goal, as the planner that crashed would have done."""
-        outdated = self._resumption.outdated(kept, now)
+        outdated = self._resumption.expiry_message(kept, now)
         if outdated:
             self._log(LogLevel.WARNING, outdated)
             return
@@ -335,7 +335,7 @@ class PlannerLogic:
         if task is None:
             return
         task.is_resumed, task.earlier_taps = True, kept.request.earlier_taps
-        self._resumption.stopped_since(kept)
+        self._resumption.note_earlier_stops(kept)
         self._log(LogLevel.WARNING, "resuming the goal of a planner that crashed")
         self._begin(task, now)
         self._effects.extend(self._sender.withdraw_orphan(now))

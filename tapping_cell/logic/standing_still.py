@@ -40,7 +40,7 @@ class StandingStill:
         # tapper with another cell file. Assume that the longest possible promise was granted.
         self.until = max(self.until, now.steady + permit.LONGEST_HOLD_S)
 
-    def invalid(self, request: HoldStill.Request) -> CodedError | None:
+    def duration_error(self, request: HoldStill.Request) -> CodedError | None:
         """Return why a request is refused because of its duration, or None."""
         if 0 < request.duration <= self._longest_hold:
             return None
@@ -50,7 +50,7 @@ class StandingStill:
             f"most {self._longest_hold:g} s",
         )
 
-    def repeated(self, request: HoldStill.Request) -> CodedError | None:
+    def repetition_error(self, request: HoldStill.Request) -> CodedError | None:
         """Return why a request is refused because its tap is over, or None."""
         if self._outcome_received != request.tap_id:
             return None

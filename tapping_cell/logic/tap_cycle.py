@@ -107,7 +107,7 @@ def look(at: Looking, parts: PlannerParts, now: Now) -> Steps:
             yield Go(None, at)  # from here on, the tap's record counts
         else:
             yield Go(None, at)
-            if tap_counts.exhausts(task, shot, parts.settings, is_late=True):
+            if tap_counts.count_unfired(task, shot, parts.settings, is_late=True):
                 yield failed(ErrorCode.NOT_READY, GIVEN_UP)
                 return
             yield from parts.resumption.keep(task, now, is_tapping=False)
@@ -169,7 +169,7 @@ def wait_for_arm(at: Placing, parts: PlannerParts, now: Now) -> Steps:
         yield Log(LogLevel.WARNING, MOVED_BEFORE_TAP)
         parts.confirmations.withdraw("an object was moved")
         yield from give_up(at, TapperState.UNKNOWN, parts, now)
-    elif (unreachable := monitor.out_of_reach(shot.tap_id)) is not None:
+    elif (unreachable := monitor.reach_error(shot.tap_id)) is not None:
         yield from try_another_way(at, *unreachable, parts, now)
     elif monitor.outcome(shot.tap_id) != TapperState.NONE:
         yield from take_outcome(at, parts, now)

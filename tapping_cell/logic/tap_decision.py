@@ -54,7 +54,7 @@ def act(
     if isinstance(decision, Done):
         yield End(State.IDLE if task.prescribed else State.REACHED)
         return
-    error = tap_counts.exhausted(task, parts.settings, parts.monitor.pose_of(task.object_id))
+    error = tap_counts.tap_limit_error(task, parts.settings, parts.monitor.pose_of(task.object_id))
     if error is not None:
         yield failed(*error)
     elif parts.monitor.why_not_ready(now) is not None:

@@ -139,7 +139,7 @@ def try_another_way(at: Placing, code: int, sentence: str, parts: PlannerParts, 
     parts.confirmations.withdraw(sentence)
     # The arm will not be in position for this tap, so the tapper cannot fire it.
     shot.outcome = shot.outcome or TapperState.NOT_FIRED
-    if tap_counts.exhausts(task, shot, parts.settings, is_late=False):
+    if tap_counts.count_unfired(task, shot, parts.settings, is_late=False):
         yield failed(code, sentence)
         return
     yield Log(LogLevel.WARNING, f"tap {shot.number}: {sentence}; planning another tap")
@@ -166,7 +166,7 @@ def take_outcome(at: Placing | Firing, parts: PlannerParts, now: Now) -> Steps:
             # tap.
             task.skip(shot.strike)
         is_late = tapper.error_code in LATE
-        if tap_counts.exhausts(task, shot, parts.settings, is_late=is_late):
+        if tap_counts.count_unfired(task, shot, parts.settings, is_late=is_late):
             yield failed(code, sentence)
             return
     else:

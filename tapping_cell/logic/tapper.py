@@ -168,7 +168,7 @@ class TapperLogic(DeviceLogic[State, Event]):
             self._carry_out(self._cycle.proceed(self._serving, now))
         elif topic == "plan_state":
             self._peers.on_plan_state(message, now)
-            gone = self._peers.given_up()
+            gone = self._peers.abandonment_error()
             if gone is not None:
                 self._give_up(gone)
         elif topic == "object_states":
@@ -235,13 +235,13 @@ class TapperLogic(DeviceLogic[State, Event]):
             return reason
         if not self._enabled(now):
             return enabling.RELEASED
-        if (reason := self._peers.clocks_differ(now)) is not None:
+        if (reason := self._peers.clock_error(now)) is not None:
             return reason
-        if (reason := self._peers.unknown_object(command.object_id)) is not None:
+        if (reason := self._peers.object_error(command.object_id)) is not None:
             return reason
         if tap_commands.expired(command, now):
-            return ErrorCode.TAPPER_COMMAND_EXPIRED, tap_commands.overdue(command, now)
-        if (reason := self._board.out_of_range(tapper, command.striker_speed)) is not None:
+            return ErrorCode.TAPPER_COMMAND_EXPIRED, tap_commands.expiry_message(command, now)
+        if (reason := self._board.speed_error(tapper, command.striker_speed)) is not None:
             return reason
         return self._received.refusal(command, self._board.used, now)
 

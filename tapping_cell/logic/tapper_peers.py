@@ -207,7 +207,7 @@ class TapperPeers:
         elif state.hidden_by_arm and name in self._seen:
             self._seen[name].hide_by_arm(seen_at)
 
-    def unknown_object(self, name: str) -> CodedError | None:
+    def object_error(self, name: str) -> CodedError | None:
         """Return an error if the camera reports objects but not the one with this name, or None.
         An empty name means the cell's own object."""
         if not name or not self._names or name in self._names:
@@ -238,7 +238,7 @@ class TapperPeers:
         hidden = reason is not None and reason[0] == ErrorCode.OBJECT_NOT_SEEN
         return None if hidden else reason  # on its way, the arm may hide the object
 
-    def given_up(self) -> CodedError | None:
+    def abandonment_error(self) -> CodedError | None:
         """Return an error if the planner that commanded the tap no longer waits for it."""
         if self._planner_commanded_tap and self._phase not in TAPPING:
             return (
@@ -278,8 +278,8 @@ class TapperPeers:
 
     def _check_others(self, planned: Pose, now: Now) -> CodedError | None:
         return (
-            self.given_up()
-            or self.clocks_differ(now)
+            self.abandonment_error()
+            or self.clock_error(now)
             or self._camera_missing()
             or self._silence(now)
             or self._disturbance(planned, now)
@@ -330,7 +330,7 @@ class TapperPeers:
             )
         return None
 
-    def clocks_differ(self, now: Now) -> CodedError | None:
+    def clock_error(self, now: Now) -> CodedError | None:
         """Return why the clocks of the cell's computers differ too much for a tap, or None."""
         skewed = skewed_clock(self._clocks, now)
         if skewed is None:

@@ -311,7 +311,7 @@ class GoalSession(ABC):
                     seen, total / count**2, observe_again=count < LONG_OBSERVATION
                 )
                 if fired is None and isinstance(decision, Strike):
-                    decision = self._coarse(covariance / LONG_OBSERVATION) or decision
+                    decision = self._noise_refusal(covariance / LONG_OBSERVATION) or decision
                 yield decision
                 if not isinstance(decision, ObserveAgain):
                     break
@@ -335,7 +335,7 @@ class GoalSession(ABC):
             return ObserveAgain(residual, float(found.probability))
         return None
 
-    def _coarse(self, covariance: Array) -> Refusal | None:
+    def _noise_refusal(self, covariance: Array) -> Refusal | None:
         """Return a refusal if an observation with this covariance cannot confirm a goal."""
         if self.stopping(covariance).camera_suffices:
             return None

@@ -276,10 +276,10 @@ def test_the_planners_last_tap_does_not_count_for_the_next_one() -> None:
     for state in (PlanState.FIRING, PlanState.IDLE):
         peers.begin_tap("", 0.0)
         peers.on_plan_state(PlanState(state=state), at(1.0))
-        assert peers.given_up() is None
+        assert peers.abandonment_error() is None
     peers.on_plan_state(PlanState(state=PlanState.PLACING), at(1.1))
     peers.on_plan_state(PlanState(state=PlanState.IDLE), at(1.2))
-    assert peers.given_up() is not None
+    assert peers.abandonment_error() is not None
 
 
 @given(st.sampled_from(["arm", "camera"]), st.floats(0.65, 3600.0))
