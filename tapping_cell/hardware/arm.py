@@ -102,7 +102,8 @@ class ArmDriver:
         self._connected = False
         self._homed = False
         self._confirmed: Joints | None = None
-        self._fresh: ArmReading | None = None
+        """Position at the end of the last move; None if it is not trusted."""
+        self._latest: ArmReading | None = None
         self._fault: HardwareFault | None = None
         self._stopped = threading.Event()
         self._stops_when_opened = False
@@ -150,7 +151,7 @@ class ArmDriver:
         """
         self._begin_call()
         self._connected = False
-        self._fresh = None
+        self._latest = None
         try:
             self._transport.open(timeout)
             if self._stopped.is_set() or self._stops_when_opened:
@@ -199,7 +200,7 @@ class ArmDriver:
         """
         self._require_ready(homed=False)
         self._homed = False
-        self._confirmed = self._fresh = None
+        self._confirmed = self._latest = None
         try:
             if strategy is HomingStrategy.FIRMWARE:
                 joints = self._home_by_firmware()
@@ -217,10 +218,10 @@ class ArmDriver:
         """Read the arm's state from the controller; joint values are invalid before homing."""
         self._require_line()
         try:
-            self._fresh = self._read()
+            self._latest = self._read()
         except HardwareFault as fault:
             raise self._record_fault(fault) from fault.__cause__
-        return self._fresh
+        return self._latest
 
     def read_joints(self) -> Joints:
         """Return the joint values of the arm at rest, as the start of a path.
@@ -233,7 +234,7 @@ class ArmDriver:
         reading = self._recent() or self.read()
         if reading.moving:
             try:
-                self._fresh = reading = self._read_at_rest()
+                self._latest = reading = self._read_at_rest()
             except HardwareFault as fault:
                 raise self._record_fault(fault) from fault.__cause__
         return self._within_limits(reading.joints)
@@ -288,7 +289,7 @@ class ArmDriver:
     def settle(self, goal: Joints | None) -> ArmReading:
         """Wait until ``settle_time`` has passed since the last move and verify ``goal`` again."""
         self._require_ready(homed=True)
-        rested = self._fresh.stamp if self._fresh is not None else self._transport.now()
+        rested = self._latest.stamp if self._latest is not None else self._transport.now()
         try:
             self._wait(rested + self.settings.settle_time)
             reading = self._arrive(self._transport.now(), self._reply_deadline())
@@ -394,14 +395,14 @@ class ArmDriver:
         self._confirmed = reading.joints
         if failure is not None:
             raise failure
-        self._fresh = reading
+        self._latest = reading
         self.counters.moves += 1
         return reading
 
     def _start(self) -> ArmReading:
         """Verify that the arm is still where the last move ended, and return the reading."""
         start = self._recent() or self._read()
-        self._fresh = None
+        self._latest = None
         if start.alarm:
             raise HardwareFault(
                 FaultReason.ALARM,
@@ -521,7 +522,7 @@ class ArmDriver:
 
     def _recent(self) -> ArmReading | None:
         """Return the last reading if it is recent enough for the start of a move, else None."""
-        fresh = self._fresh
+        fresh = self._latest
         if fresh is None or self._transport.now() - fresh.stamp > FRESHNESS:
             return None
         return fresh

@@ -21,6 +21,7 @@ HEADINGS = 24
 SHARES_OF_FIRST = np.array([1.0, 0.7, 0.5, 0.3, 0.15])
 SHARES_OF_LARGEST = np.array([1.0, 0.6, 0.35, 0.2, 0.1, 0.05])
 TURNS = (1.0, 0.5, 0.0, -0.5, -1.0)
+"""Rotations tried, as shares of the largest; in place of 1, the residual if it is smaller."""
 CHUNK = 160
 
 LEAST = 80
@@ -146,11 +147,11 @@ def candidate_taps(
     flat = (*length.shape, -1)
     heading = np.broadcast_to(headings[..., :, None, None], shape).reshape(flat)
     size = np.broadcast_to(sizes[..., None, :, None], shape).reshape(flat)
-    share = np.broadcast_to(np.array(TURNS), shape).reshape(flat)
+    turn_share = np.broadcast_to(np.array(TURNS), shape).reshape(flat)
     each, start = learnt[..., None, :], pose[..., None, :]
     most = settings.cone_slope * size
     left = wrap_angle(goal[..., 2] - pose[..., 2])[..., None] / each[..., 1]
-    turn = np.where(share == 1.0, np.clip(left, -most, most), share * most)
+    turn = np.where(turn_share == 1.0, np.clip(left, -most, most), turn_share * most)
     commanded = command_of(each, size, turn, heading, start[..., 2], settings.cone_slope)
     after = start + prediction_of(each, commanded, start[..., 2])
     way = path(after[..., :2])
@@ -159,6 +160,7 @@ def candidate_taps(
     )
     reachable = np.isfinite(way)
     taps = planner.taps_to_go(np.where(reachable, way, 0.0), remaining)
+    # Of equally good taps, prefer the shortest.
     cost = np.where(reachable, taps + 0.05 * size / settings.largest_distance, np.inf)
     return Candidates(commanded, after, cost)
 

@@ -374,12 +374,13 @@ class Gains:
         one = np.ones_like(slope)
         # Without a position floor, the scatter is proportional to the size. The quantile is then
         # the same for all taps of an object and is computed only once.
-        every = size if scatter.position_floor > 0.0 else np.ones(self.taken.shape)
-        stretch = scatter.along(every) / every
-        longest = self.distance.quantile(np.ones((*every.shape, 2)), high, stretch)
-        both = np.stack([one, slope], axis=-1)
-        aim = scatter.across(size) / size
-        aside = np.stack([self.direction.quantile(both, end, aim) for end in (low, high)], axis=-1)
+        sizes = size if scatter.position_floor > 0.0 else np.ones(self.taken.shape)
+        distance_std = scatter.along(sizes) / sizes
+        longest = self.distance.quantile(np.ones((*sizes.shape, 2)), high, distance_std)
+        terms = np.stack([one, slope], axis=-1)
+        direction_std = scatter.across(size) / size
+        ends = [self.direction.quantile(terms, end, direction_std) for end in (low, high)]
+        aside = np.stack(ends, axis=-1)
         expected = self.value[..., 2] + self.value[..., 3] * slope
         factor = np.exp(longest) / self.value[..., 0]
         return Spread(np.broadcast_to(factor, slope.shape), aside - expected[..., None])
