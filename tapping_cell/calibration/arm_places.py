@@ -7,7 +7,7 @@ import math
 import numpy as np
 from scipy.stats.qmc import Halton
 
-from tapping_cell.hardware.scara import Branch, Joints, ScaraGeometry
+from tapping_cell.hardware.scara import REVOLUTE, Branch, Joints, ScaraGeometry
 from tapping_cell.se2 import Pose
 
 TURN = math.radians(120.0)
@@ -49,6 +49,5 @@ def arm_places(
 
 
 def _has_clearance(geometry: ScaraGeometry, joints: Joints) -> bool:
-    turns = np.array(joints)[[0, 1, 3]]
-    low, high = np.array(geometry.lower)[[0, 1, 3]], np.array(geometry.upper)[[0, 1, 3]]
-    return bool(np.all(turns > low + _INSIDE) and np.all(turns < high - _INSIDE))
+    angles, low, high = np.array([joints, geometry.lower, geometry.upper])[:, REVOLUTE]
+    return bool(np.all(angles > low + _INSIDE) and np.all(angles < high - _INSIDE))

@@ -102,7 +102,8 @@ class ArmDriver:
         self._connected = False
         self._homed = False
         self._confirmed: Joints | None = None
-        self._fresh: ArmReading | None = None
+        """Position at the end of the last move; None if it is not trusted."""
+        self._latest: ArmReading | None = None
         self._fault: HardwareFault | None = None
         self._stopped = threading.Event()
         self._stops_when_opened = False
@@ -150,7 +151,7 @@ class ArmDriver:
         """
         self._begin_call()
         self._connected = False
-        self._fresh = None
+        self._latest = None
         try:
             self._transport.open(timeout)
             if self._stopped.is_set() or self._stops_when_opened:
@@ -170,7 +171,7 @@ class ArmDriver:
         except HardwareFault as fault:
             if fault.reason is not FaultReason.STOPPED:
                 self.close()
-            raise self._noted(fault) from fault.__cause__
+            raise self._record_fault(fault) from fault.__cause__
         held = self._confirmed is not None and self._agrees(self._confirmed, reading.joints)
         if not (firmware.continued and held and not reading.alarm):
             self._homed = False
@@ -199,7 +200,7 @@ class ArmDriver:
         """
         self._require_ready(homed=False)
         self._homed = False
-        self._confirmed = self._fresh = None
+        self._confirmed = self._latest = None
         try:
             if strategy is HomingStrategy.FIRMWARE:
                 joints = self._home_by_firmware()
@@ -207,8 +208,8 @@ class ArmDriver:
                 joints = self._declare(strategy)
         except HardwareFault as fault:
             if fault.reason is FaultReason.TIMEOUT:
-                raise self._halted(fault) from fault
-            raise self._noted(fault) from fault.__cause__
+                raise self._stop_after(fault) from fault
+            raise self._record_fault(fault) from fault.__cause__
         self._confirmed = joints
         self._homed = True
         return joints
@@ -217,10 +218,10 @@ class ArmDriver:
         """Read the arm's state from the controller; joint values are invalid before homing."""
         self._require_line()
         try:
-            self._fresh = self._read()
+            self._latest = self._read()
         except HardwareFault as fault:
-            raise self._noted(fault) from fault.__cause__
-        return self._fresh
+            raise self._record_fault(fault) from fault.__cause__
+        return self._latest
 
     def read_joints(self) -> Joints:
         """Return the joint values of the arm at rest, as the start of a path.
@@ -233,9 +234,9 @@ class ArmDriver:
         reading = self._recent() or self.read()
         if reading.moving:
             try:
-                self._fresh = reading = self._read_at_rest()
+                self._latest = reading = self._read_at_rest()
             except HardwareFault as fault:
-                raise self._noted(fault) from fault.__cause__
+                raise self._record_fault(fault) from fault.__cause__
         return self._within_limits(reading.joints)
 
     def move_to(
@@ -273,7 +274,7 @@ class ArmDriver:
         try:
             return self._move(legs, speeds, deadline)
         except HardwareFault as fault:
-            raise self._noted(fault) from fault.__cause__
+            raise self._record_fault(fault) from fault.__cause__
 
     def follow(self, path: Iterable[Waypoint]) -> ArmReading:
         """Move to each waypoint in turn, settle, and verify the end; raises as ``move_to``."""
@@ -288,7 +289,7 @@ class ArmDriver:
     def settle(self, goal: Joints | None) -> ArmReading:
         """Wait until ``settle_time`` has passed since the last move and verify ``goal`` again."""
         self._require_ready(homed=True)
-        rested = self._fresh.stamp if self._fresh is not None else self._transport.now()
+        rested = self._latest.stamp if self._latest is not None else self._transport.now()
         try:
             self._wait(rested + self.settings.settle_time)
             reading = self._arrive(self._transport.now(), self._reply_deadline())
@@ -296,9 +297,9 @@ class ArmDriver:
                 # The report may have been garbled, so read again before the move counts as failed.
                 reading = self._read()
                 if reading.moving or not self._agrees(goal, reading.joints):
-                    raise self._mismatch(goal, reading.joints)
+                    raise self._mismatch_fault(goal, reading.joints)
         except HardwareFault as fault:
-            raise self._noted(fault) from fault.__cause__
+            raise self._record_fault(fault) from fault.__cause__
         return reading
 
     def stop(self) -> bool:
@@ -340,7 +341,7 @@ class ArmDriver:
         except HardwareFault as fault:
             if fault.reason is FaultReason.NEEDS_PERSON:
                 self.close()
-            noted = self._noted(fault)
+            noted = self._record_fault(fault)
             if must_unlock and noted.reason in LINE_LOST:
                 # The loss of the connection is not latched, because the next connect restores the
                 # connection. An earlier fault stays latched.
@@ -377,7 +378,7 @@ class ArmDriver:
             reading, failure = self._follow(path, deadline)
         except HardwareFault as fault:
             if fault.reason is FaultReason.TIMEOUT:
-                raise self._halted(
+                raise self._stop_after(
                     HardwareFault(
                         FaultReason.TIMEOUT,
                         f"a move that should take {duration:.2f} s had not ended"
@@ -385,23 +386,23 @@ class ArmDriver:
                     )
                 ) from fault
             if fault.reason is FaultReason.REJECTED:
-                raise self._halted(fault) from fault
+                raise self._stop_after(fault) from fault
             raise
         if failure is not None:
             failure = self._beyond_limit(reading.joints) or failure
             if reading.moving:
-                raise self._halted(failure)
+                raise self._stop_after(failure)
         self._confirmed = reading.joints
         if failure is not None:
             raise failure
-        self._fresh = reading
+        self._latest = reading
         self.counters.moves += 1
         return reading
 
     def _start(self) -> ArmReading:
         """Verify that the arm is still where the last move ended, and return the reading."""
         start = self._recent() or self._read()
-        self._fresh = None
+        self._latest = None
         if start.alarm:
             raise HardwareFault(
                 FaultReason.ALARM,
@@ -448,7 +449,7 @@ class ArmDriver:
             if reading.moving or not stands:
                 break
             path = _Path(path.places[stands[-1] :], path.speeds[stands[-1] :])
-        return reading, refusal or self._mismatch(goal, reading.joints)
+        return reading, refusal or self._mismatch_fault(goal, reading.joints)
 
     def _duration(self, path: _Path) -> float:
         return sum(move_duration(self.geometry, a, b, speed) for a, b, speed in path.legs())
@@ -491,7 +492,7 @@ class ArmDriver:
         if home is None:
             check_limits(self.geometry, self._within_limits(joints))
         elif not self._agrees(home, joints):
-            raise self._mismatch(home, joints)
+            raise self._mismatch_fault(home, joints)
         return joints
 
     def _declare(self, strategy: HomingStrategy) -> Joints:
@@ -516,12 +517,12 @@ class ArmDriver:
         self._dialect.set_position(self._to_axes(target), self._reply_deadline())
         reading = self._read()
         if not self._agrees(target, reading.joints):
-            raise self._mismatch(target, reading.joints)
+            raise self._mismatch_fault(target, reading.joints)
         return reading.joints
 
     def _recent(self) -> ArmReading | None:
         """Return the last reading if it is recent enough for the start of a move, else None."""
-        fresh = self._fresh
+        fresh = self._latest
         if fresh is None or self._transport.now() - fresh.stamp > FRESHNESS:
             return None
         return fresh
@@ -599,7 +600,7 @@ class ArmDriver:
     def _axes_within(self, axes: Axes) -> bool:
         return self._beyond_limit(self._to_joints(axes)) is None
 
-    def _mismatch(self, goal: Joints, found: Joints) -> HardwareFault:
+    def _mismatch_fault(self, goal: Joints, found: Joints) -> HardwareFault:
         return HardwareFault(
             FaultReason.POSITION_MISMATCH,
             f"the arm is at {joints_text(found)}, but should be at {joints_text(goal)} (tolerance "
@@ -614,7 +615,7 @@ class ArmDriver:
         counters.received = ReceivedBytes()
         self._lines_before = counters.lines, counters.bad_lines
 
-    def _named(self, fault: HardwareFault) -> HardwareFault:
+    def _diagnose(self, fault: HardwareFault) -> HardwareFault:
         """If unreadable replies caused the fault, return a PROTOCOL fault instead. While
         connecting, replies that are text but cannot be decoded come from another firmware:
         UNKNOWN_FIRMWARE is then returned.
@@ -665,7 +666,7 @@ class ArmDriver:
         if homed and not self._homed:
             raise HardwareFault(FaultReason.NOT_HOMED, "the arm is not homed: home it first")
 
-    def _noted(self, fault: HardwareFault) -> HardwareFault:
+    def _record_fault(self, fault: HardwareFault) -> HardwareFault:
         """Record a fault in the driver's state and return the fault to raise.
 
         If a fault is latched, the latched fault is returned instead of a later one, because later
@@ -677,7 +678,7 @@ class ArmDriver:
             fault = self._fault or self._stop_fault()
         if fault is self._fault:
             return fault
-        fault = self._named(fault)
+        fault = self._diagnose(fault)
         self.counters.last_error = fault.sentence
         if fault.reason is FaultReason.DISCONNECTED:
             self._connected = False
@@ -692,9 +693,9 @@ class ArmDriver:
         self._fault = self._fault or fault
         return self._fault
 
-    def _halted(self, fault: HardwareFault) -> HardwareFault:
+    def _stop_after(self, fault: HardwareFault) -> HardwareFault:
         """Stop the arm after a motion has failed, and latch the fault."""
-        fault = self._named(fault)
+        fault = self._diagnose(fault)
         result = (
             "the arm was stopped: "
             if self.stop()

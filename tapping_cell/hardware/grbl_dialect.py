@@ -92,20 +92,23 @@ class GrblDialect(LineDialect[grbl.Frame]):
         super().__init__(transport, grbl.decode)
         self._settings = settings or GrblSettings()
         self._offset: tuple[float, ...] | None = None
-        self._known = False
+        self._connected = False
         self._marked = False
-        self._frozen = False
+        """Whether the controller had the mark (``MARK_LINE``) when it was last queried."""
+        self._offset_frozen = False
         self._controller: GrblController = GRBL
         self._forces_origin = False
         self._columns = list(range(AXIS_COUNT))
+        """Places of shoulder, elbow, quill and tool in a reported position."""
         self._homed_place: list[float | None] = []
-        self._count = 0
-        self._homed_unknown = ""
+        self._axis_count = 0
+        self._homing_problem = ""
         self._feed_override = 100
         self._unanswered = False
+        """Whether the controller may still answer an earlier line."""
         self._marker = MARKERS[0]
         self._asked = 0.0
-        self._since = 0.0
+        self._asked_since = 0.0
 
     @property
     def stop_bytes(self) -> bytes:
@@ -122,26 +125,26 @@ class GrblDialect(LineDialect[grbl.Frame]):
         unsuitable."""
         firmware, findings = self.inspect(deadline)
         controller_needs.refuse(findings)
-        self._known = True
+        self._connected = True
         return firmware
 
     def inspect(self, deadline: float) -> tuple[Firmware, list[Finding]]:
         """Identify the firmware and compare its settings with the required ones; nothing moves."""
-        offset = self._offset if self._frozen else None
-        self._forget()
-        self._count = 0
-        self._known = False
+        offset = self._offset if self._offset_frozen else None
+        self._reset_state()
+        self._axis_count = 0
+        self._connected = False
         banner = self._drain() or self._await_first_status(deadline)
         if banner is not None:
             self._await_first_status(deadline)
         self._await_answerable(deadline)
         version = self._identify(deadline, banner)
         self._transport.write(grbl.FULL_FEED)
-        findings = self._compared(deadline)
-        continued = self._marked and banner is None and self._mark_is_there(deadline)
+        findings = self._compare_with_retry(deadline)
+        continued = self._marked and banner is None and self._has_mark(deadline)
         self._marked = continued
         if continued and offset is not None:
-            self._offset, self._frozen = offset, True
+            self._offset, self._offset_frozen = offset, True
         return Firmware(self._controller.name, version, continued), findings
 
     def store(self, finding: Finding, deadline: float) -> None:
@@ -231,12 +234,12 @@ class GrblDialect(LineDialect[grbl.Frame]):
         patience = min(deadline, self._transport.now() + REST_TIMEOUT)
         while _moving(self._ask_status(deadline)) and self._transport.now() < patience:
             if self._settings.without_switch:
-                raise HardwareFault(FaultReason.HOMING_FAILED, self._not_at_its_mark())
+                raise HardwareFault(FaultReason.HOMING_FAILED, self._mark_problem())
             self._pump(POLL_PERIODS[1])
         # The settings may have been changed since the connection was made, so compare them again.
-        controller_needs.refuse(self._compared(deadline))
-        if self._homed_unknown:
-            raise HardwareFault(FaultReason.HOMING_FAILED, self._homed_unknown)
+        controller_needs.refuse(self._compare_with_retry(deadline))
+        if self._homing_problem:
+            raise HardwareFault(FaultReason.HOMING_FAILED, self._homing_problem)
         began = self._transport.now()
         try:
             self._command(b"$H\n", deadline)
@@ -255,10 +258,10 @@ class GrblDialect(LineDialect[grbl.Frame]):
                     f"homing failed: {fault}: check the home switches and $22 to $27",
                 ) from fault
             raise
-        self._offset, self._frozen = None, False
+        self._offset, self._offset_frozen = None, False
         while _moving(status := self._ask_status(deadline)):
             self._pump(POLL_PERIODS[1])
-        if self._not_at_home(status):
+        if self._home_deviation(status):
             # The report may have been garbled, so query again before homing counts as failed.
             self.counters.retries += 1
             self._check_homed(self._ask_status(deadline))
@@ -268,22 +271,22 @@ class GrblDialect(LineDialect[grbl.Frame]):
     def _await_restart(self, deadline: float) -> None:
         """Wait for the greeting of a controller that resets itself after homing has failed, so that
         the next reading does not report the reset as a fault of its own."""
-        self._known = self._marked = False
+        self._connected = self._marked = False
         self._await_banner(min(deadline, self._transport.now() + RESET_TIME))
         self._drain()
-        self._known, self._unanswered = True, False
+        self._connected, self._unanswered = True, False
 
     def set_position(self, axes: Axes, deadline: float) -> None:
         """Set the position with ``G92``, then the mark with ``MARK_LINE``. A reset clears both, so
         as long as the mark is set, the position is valid."""
-        self._offset, self._frozen = None, False
+        self._offset, self._offset_frozen = None, False
         self._command(grbl.set_position_line(self._settings.letters, axes), deadline)
         self._command(MARK_LINE, deadline)
         self._offset = self._declared_offset(axes, deadline)
         # From here on, this offset is kept, and offsets in later reports are ignored. If a bit
         # error turns a later line into a G92, the following moves end at wrong machine positions.
         # The position check detects this, because it uses the kept offset.
-        self._frozen = True
+        self._offset_frozen = True
         self._marked = True
 
     def _declared_offset(self, axes: Axes, deadline: float) -> tuple[float, ...]:
@@ -308,8 +311,8 @@ class GrblDialect(LineDialect[grbl.Frame]):
 
     def clear(self, deadline: float) -> None:
         """Send a soft reset and unlock; the arm must be homed again afterwards."""
-        self._forget()
-        self._known = False
+        self._reset_state()
+        self._connected = False
         self._marked = False
         for _ in range(RESETS):
             self._transport.write(grbl.SOFT_RESET)
@@ -322,32 +325,32 @@ class GrblDialect(LineDialect[grbl.Frame]):
         # If the controller stays locked until it is homed, the fault is cleared nevertheless.
         self._command(b"$X\n", deadline, accepted=HOMING_REQUIRED)
         self._offset = None
-        self._known = True
+        self._connected = True
 
-    def _forget(self) -> None:
+    def _reset_state(self) -> None:
         self._buffer = b""
         self._frames.clear()
-        self._offset, self._frozen = None, False
+        self._offset, self._offset_frozen = None, False
         self._unanswered = False
 
     def _take(self, frame: grbl.Frame) -> None:
         if isinstance(frame, grbl.Status):
-            if self._count and len(frame.machine or frame.work or ()) != self._count:
+            if self._axis_count and len(frame.machine or frame.work or ()) != self._axis_count:
                 self.counters.bad_lines += 1
                 return
-            if frame.offset is not None and not self._frozen:
+            if frame.offset is not None and not self._offset_frozen:
                 self._offset = frame.offset
             if frame.feed_override is not None:
                 self._feed_override = frame.feed_override
-        if self._known and isinstance(frame, grbl.Banner):
-            self._known = False
+        if self._connected and isinstance(frame, grbl.Banner):
+            self._connected = False
             self._marked = False
             raise HardwareFault(
                 FaultReason.BOARD_RESET,
                 f"the arm's controller on {self._transport.name} restarted: its position is lost;"
                 " clear the fault and home again",
             )
-        if self._known and isinstance(frame, grbl.Alarm):
+        if self._connected and isinstance(frame, grbl.Alarm):
             meanings = {**grbl.ALARMS, **self._controller.alarms}
             raise self._alarm_fault(meanings.get(frame.code, "unknown to this driver"), frame.code)
         self._frames.append(frame)
@@ -359,18 +362,18 @@ class GrblDialect(LineDialect[grbl.Frame]):
         self.counters.timeouts += frame is None
         return frame
 
-    def _silent(self, waiting_for: str) -> HardwareFault:
+    def _timeout_fault(self, waiting_for: str) -> HardwareFault:
         return HardwareFault(
             FaultReason.TIMEOUT,
             f"no {waiting_for} from the arm's controller on {self._transport.name} within"
-            f" {self._transport.now() - self._since:.1f} s: check power, cable and baud rate",
+            f" {self._transport.now() - self._asked_since:.1f} s: check power, cable and baud rate",
         )
 
     def _ask_status(self, deadline: float) -> grbl.Status:
         """Query one status report, repeating lost queries; earlier answers are discarded."""
         self._pump(0.0)
         self._frames.clear()
-        self._since = self._transport.now()
+        self._asked_since = self._transport.now()
         while True:
             self._asked = self._transport.now()
             self._transport.write(grbl.STATUS_QUERY)
@@ -379,7 +382,7 @@ class GrblDialect(LineDialect[grbl.Frame]):
                 if isinstance(frame, grbl.Status):
                     return frame
             if until >= deadline:
-                raise self._silent("status report")
+                raise self._timeout_fault("status report")
             self.counters.retries += 1
 
     def _command(
@@ -395,7 +398,7 @@ class GrblDialect(LineDialect[grbl.Frame]):
             self._resynchronise(deadline)
         self._pump(0.0)
         self._frames.clear()
-        self._since = self._transport.now()
+        self._asked_since = self._transport.now()
         self._unanswered = True
         self._transport.write(line)
         frames: list[grbl.Frame] = []
@@ -413,7 +416,7 @@ class GrblDialect(LineDialect[grbl.Frame]):
                     f" {meaning}",
                 )
             frames.append(frame)
-        raise self._silent(f"answer to {line.decode().strip()!r}")
+        raise self._timeout_fault(f"answer to {line.decode().strip()!r}")
 
     def _resynchronise(self, deadline: float) -> None:
         """Wait until the controller has processed every line sent so far.
@@ -423,7 +426,7 @@ class GrblDialect(LineDialect[grbl.Frame]):
         follows this report is the last outstanding one. Raises ALARM if the controller does not
         accept the feed because of an alarm.
         """
-        self._since = self._transport.now()
+        self._asked_since = self._transport.now()
         while True:
             first, last = MARKERS
             self._marker = self._marker + 1 if self._marker < last else first
@@ -433,7 +436,7 @@ class GrblDialect(LineDialect[grbl.Frame]):
                 self._unanswered = False
                 return
             if until >= deadline:
-                raise self._silent("answer to its lines")
+                raise self._timeout_fault("answer to its lines")
             self.counters.retries += 1
 
     def _marker_arrives(self, until: float) -> bool:
@@ -516,7 +519,7 @@ class GrblDialect(LineDialect[grbl.Frame]):
                 break
         return banner
 
-    def _retried(self, line: bytes, deadline: float) -> list[grbl.Frame]:
+    def _query(self, line: bytes, deadline: float) -> list[grbl.Frame]:
         """Send a query up to three times, and wait for each answer for at most the reply
         timeout."""
         for attempt in range(3):
@@ -575,12 +578,12 @@ class GrblDialect(LineDialect[grbl.Frame]):
                 "arm.axis_letters",
             )
         self._columns = [letters.index(letter) for letter in self._settings.letters]
-        self._count = count
+        self._axis_count = count
         return version
 
     def _information(self, deadline: float) -> list[grbl.Message]:
         """Return the messages in the answer to ``$I``."""
-        frames = self._retried(b"$I\n", deadline)
+        frames = self._query(b"$I\n", deadline)
         return [frame for frame in frames if isinstance(frame, grbl.Message)]
 
     def _count_axes(self, deadline: float) -> int:
@@ -593,26 +596,26 @@ class GrblDialect(LineDialect[grbl.Frame]):
                 return count
             before = count
 
-    def _compared(self, deadline: float) -> list[Finding]:
+    def _compare_with_retry(self, deadline: float) -> list[Finding]:
         """Return the findings of ``_compare``. If a setting is not as required, the settings are
         queried once more, because a line of the answer may have been garbled."""
         findings = self._compare(deadline)
-        if self._homed_unknown or not all(finding.met for finding in findings):
+        if self._homing_problem or not all(finding.met for finding in findings):
             self.counters.retries += 1
             findings = self._compare(deadline)
         return findings
 
     def _compare(self, deadline: float) -> list[Finding]:
         """Compare the controller's settings with the required ones."""
-        frames = self._retried(b"$$\n", deadline)
+        frames = self._query(b"$$\n", deadline)
         found = {frame.number: frame.value for frame in frames if isinstance(frame, grbl.Setting)}
         controller, settings = self._controller, self._settings
         shown = {number: f"{value:g}" for number, value in found.items()}
         findings: list[Finding] = []
         if controller.has_files:
             self._learn_homed_place_by_name(deadline)
-            held = self._named(controller.hold_setting, deadline)
-            inches = self._named("$/report_inches", deadline)
+            held = self._read_setting(controller.hold_setting, deadline)
+            inches = self._read_setting("$/report_inches", deadline)
             findings.append(
                 Finding(
                     "$/report_inches",
@@ -658,8 +661,8 @@ class GrblDialect(LineDialect[grbl.Frame]):
                     "" if controller.has_files else f"$22={int(found.get(22, 0)) | 1}",
                 )
             )
-            if self._homed_unknown:
-                findings.append(Finding("homing", "incomplete", self._homed_unknown, False))
+            if self._homing_problem:
+                findings.append(Finding("homing", "incomplete", self._homing_problem, False))
         for number, value in settings.expected.items():
             if number not in found and controller.has_files and number == 13:
                 continue
@@ -677,10 +680,10 @@ class GrblDialect(LineDialect[grbl.Frame]):
             )
         return findings + self._limits(found)
 
-    def _named(self, name: str, deadline: float) -> str:
-        """Return the value of a named setting; "missing" if the controller does not have it."""
+    def _read_setting(self, name: str, deadline: float) -> str:
+        """Query a setting by its name; "missing" if the controller does not have it."""
         try:
-            frames = self._retried(name.encode() + b"\n", deadline)
+            frames = self._query(name.encode() + b"\n", deadline)
         except HardwareFault as fault:
             if fault.reason is not FaultReason.REJECTED:
                 raise
@@ -723,13 +726,13 @@ class GrblDialect(LineDialect[grbl.Frame]):
         Homing ends at a distance of $27 (pull-off) from the end of travel that has the switch; $23
         tells which end this is. In some builds, the position after homing is set to zero.
         """
-        self._homed_unknown = ""
+        self._homing_problem = ""
         self._homed_place = list(self._settings.home_place or ())
         needed = [23, 27, *(130 + column for column in self._columns)]
         missing = [f"${number}" for number in needed if number not in found]
         if not self._homed_place:
             if missing:
-                self._homed_unknown = (
+                self._homing_problem = (
                     f"the controller does not list {', '.join(missing)}, so the position "
                     "after homing is unknown: connect again; if it persists, set "
                     "arm.home_place"
@@ -753,7 +756,7 @@ class GrblDialect(LineDialect[grbl.Frame]):
                 self._homed_place[axis] = None
             elif masks and not any(mask >> column & 1 for mask in masks):
                 first = self._controller.homing_masks[0]
-                self._homed_unknown = (
+                self._homing_problem = (
                     f"the controller's homing leaves out axis {self._settings.letters[axis]}"
                     f" (${first} to ${first + 3}): add it there, or name its joint in"
                     " arm.axes_without_switch"
@@ -761,31 +764,31 @@ class GrblDialect(LineDialect[grbl.Frame]):
 
     def _learn_homed_place_by_name(self, deadline: float) -> None:
         """Read the homed position from the controller's named settings."""
-        self._homed_unknown = ""
+        self._homing_problem = ""
         self._homed_place = list(self._settings.home_place or (None,) * AXIS_COUNT)
         for axis, letter in enumerate(self._settings.letters):
             if axis in self._settings.without_switch:
                 self._homed_place[axis] = None
                 continue
             section = f"$/axes/{letter.lower()}/homing"
-            cycle = self._named(f"{section}/cycle", deadline)
+            cycle = self._read_setting(f"{section}/cycle", deadline)
             if not cycle.lstrip("-").isdigit() or int(cycle) < 1:
-                self._homed_unknown = (
+                self._homing_problem = (
                     f"the controller's homing leaves out axis {letter} ({section}/cycle is"
                     f" {cycle}): give it a cycle, or name its joint in arm.axes_without_switch"
                 )
             elif self._settings.home_place is None:
-                text = self._named(f"{section}/mpos_mm", deadline)
+                text = self._read_setting(f"{section}/mpos_mm", deadline)
                 try:
                     self._homed_place[axis] = float(text)
                 except ValueError:
-                    self._homed_unknown = (
+                    self._homing_problem = (
                         f"the controller does not report {section}/mpos_mm, so the position "
                         "after homing is unknown: connect again; if it persists, set "
                         "arm.home_place"
                     )
 
-    def _not_at_home(self, status: grbl.Status) -> str:
+    def _home_deviation(self, status: grbl.Status) -> str:
         """Return what a report says of the axes that are not at their expected positions after
         homing; empty if every axis that homing moves is there."""
         if status.machine is None:
@@ -802,7 +805,7 @@ class GrblDialect(LineDialect[grbl.Frame]):
 
     def _check_homed(self, status: grbl.Status) -> None:
         """Raise HOMING_FAILED unless every axis that homing moves is at its expected position."""
-        if wrong := self._not_at_home(status):
+        if wrong := self._home_deviation(status):
             raise HardwareFault(
                 FaultReason.HOMING_FAILED,
                 f"after homing the controller reports {wrong}, "
@@ -811,8 +814,8 @@ class GrblDialect(LineDialect[grbl.Frame]):
                 "arm.axes_without_switch",
             )
 
-    def _mark_is_there(self, deadline: float) -> bool:
-        frames = self._retried(b"$G\n", deadline)
+    def _has_mark(self, deadline: float) -> bool:
+        frames = self._query(b"$G\n", deadline)
         return any(
             isinstance(frame, grbl.Message) and frame.kind == "GC" and "G18" in frame.text.split()
             for frame in frames
@@ -833,7 +836,7 @@ class GrblDialect(LineDialect[grbl.Frame]):
         """Return the four axes of a reported position, in joint order."""
         return tuple(position[column] for column in self._columns)
 
-    def _not_at_its_mark(self) -> str:
+    def _mark_problem(self) -> str:
         letters = ", ".join(self._settings.letters[axis] for axis in self._settings.without_switch)
         return (
             f"the arm is moving, so axis {letters}, which has no home switch, is not at its marked"

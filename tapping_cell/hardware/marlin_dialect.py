@@ -86,10 +86,10 @@ class MarlinDialect(LineDialect[marlin.Frame]):
         self._settings = settings or MarlinSettings()
         self._draw_number = draw_number
         self._number = 0
-        self._met = False
-        self._beginnings = 0
+        self._answered_before = False
+        self._renumberings = 0
         self._sent: dict[int, bytes] = {}
-        self._known = False
+        self._connected = False
         self._halted_why = ""
         self._emergency_parser = False
         self._steps: dict[str, float] = {}
@@ -120,24 +120,24 @@ class MarlinDialect(LineDialect[marlin.Frame]):
         self._prepare(deadline)
         if not firmware.continued:
             self._offset = self._offset_before_homing(deadline)
-        self._known = True
+        self._connected = True
         return firmware
 
     def inspect(self, deadline: float) -> tuple[Firmware, list[Finding]]:
         """Identify the firmware and compare its settings with the required ones; nothing moves."""
         self._buffer = b""
         self._frames.clear()
-        self._known = False
+        self._connected = False
         self._halted_why = ""
-        continued = self._number > 0 and self._counts_on(deadline)
+        continued = self._number > 0 and self._keeps_count(deadline)
         try:
             self._begin_numbers(deadline)
         except HardwareFault as fault:
-            if self._met and fault.reason is FaultReason.UNKNOWN_FIRMWARE:
-                raise self._halted() from fault
+            if self._answered_before and fault.reason is FaultReason.UNKNOWN_FIRMWARE:
+                raise self._halt_fault() from fault
             raise
         name = self._identify(deadline)
-        self._met = True
+        self._answered_before = True
         self._steps = self._figures("M92", deadline)
         findings = self._compare(deadline)
         remarks = () if self._emergency_parser else (NO_EMERGENCY_PARSER,)
@@ -225,7 +225,7 @@ class MarlinDialect(LineDialect[marlin.Frame]):
         the position query after ``G28``, it has therefore also accepted ``G28``, unless the line
         numbering was restarted meanwhile.
         """
-        beginnings, began = self._beginnings, self._transport.now()
+        beginnings, began = self._renumberings, self._transport.now()
         try:
             self._order("G28", deadline)
             if axes is not None:
@@ -245,7 +245,7 @@ class MarlinDialect(LineDialect[marlin.Frame]):
                     FaultReason.HOMING_FAILED, f"homing failed: {fault}: check the end stops"
                 ) from fault
             raise
-        if self._beginnings != beginnings:
+        if self._renumberings != beginnings:
             raise HardwareFault(
                 FaultReason.HOMING_FAILED,
                 "the line numbering was restarted during homing, so it is unknown whether the "
@@ -262,7 +262,7 @@ class MarlinDialect(LineDialect[marlin.Frame]):
     def clear(self, deadline: float) -> None:
         """Restart the line numbering. If the board is silent, reopen the port; this resets a halted
         board if the wiring of the board supports it."""
-        self._known = False
+        self._connected = False
         self._halted_why = ""
         self._pump(0.0)
         self._frames.clear()
@@ -278,9 +278,9 @@ class MarlinDialect(LineDialect[marlin.Frame]):
             try:
                 self._begin_numbers(deadline)
             except HardwareFault as still:
-                raise self._halted() from still
+                raise self._halt_fault() from still
         self._prepare(deadline)
-        self._known = True
+        self._connected = True
 
     # Lines.
 
@@ -315,12 +315,12 @@ class MarlinDialect(LineDialect[marlin.Frame]):
                 # was lost.
                 return frames
             if outcome < 0:
-                if self._is_taken(number, longest, deadline):
+                if self._resend_unanswered(number, longest, deadline):
                     return frames
                 outcome = number
             if outcome not in self._sent:
                 if outcome == 1:
-                    raise self._restarted()
+                    raise self._note_restart()
                 strange += 1
                 if strange > 1:
                     # The board has requested an unknown line twice, so this is not a transmission
@@ -334,7 +334,7 @@ class MarlinDialect(LineDialect[marlin.Frame]):
                 self._transport.write(self._sent[again])
                 self.counters.resends += 1
             patience = REPEAT_SILENCE if outcome == number else longest
-        raise self._dead(code)
+        raise self._answer_timeout(code)
 
     def _await(
         self, number: int, patience: float, deadline: float, frames: list[marlin.Frame]
@@ -348,15 +348,15 @@ class MarlinDialect(LineDialect[marlin.Frame]):
             frame = self._next(until)
             if frame is None:
                 if self._transport.now() >= deadline:
-                    raise self._still_busy() if busy else self._dead(f"line {number}")
+                    raise self._busy_timeout() if busy else self._answer_timeout(f"line {number}")
                 return -1 if wanted is None else wanted
             if isinstance(frame, marlin.Ok):
                 return wanted
             if isinstance(frame, marlin.Resend):
                 wanted = frame.number
             elif isinstance(frame, marlin.LineError):
-                if self._known and frame.last_line == 0 and number > 1:
-                    raise self._restarted()
+                if self._connected and frame.last_line == 0 and number > 1:
+                    raise self._note_restart()
             elif isinstance(frame, marlin.Busy):
                 busy = True
             else:
@@ -364,10 +364,10 @@ class MarlinDialect(LineDialect[marlin.Frame]):
                 if isinstance(frame, marlin.Position) and frame.with_ok:
                     return wanted
 
-    def _is_taken(self, number: int, patience: float, deadline: float) -> bool:
-        """Return whether the board has executed a line that it did not answer.
+    def _resend_unanswered(self, number: int, patience: float, deadline: float) -> bool:
+        """Resend a line that the board did not answer; return whether the board has executed it.
 
-        The line is resent. The board ignores a line that it has already executed, so if there is
+        The board ignores a line that it has already executed, so if there is
         again no answer, a query with the next line number is sent. The board answers this query
         with ``ok`` if it has executed the line, and with ``Resend`` if the line never arrived.
         """
@@ -392,20 +392,20 @@ class MarlinDialect(LineDialect[marlin.Frame]):
         return outcome == number + 1
 
     def _take(self, frame: marlin.Frame) -> None:
-        if isinstance(frame, marlin.Halted) and self._known:
+        if isinstance(frame, marlin.Halted) and self._connected:
             self._halted_why = frame.why
             raise HardwareFault(
                 FaultReason.ALARM,
                 f"the arm's controller halted: {frame.why}: make the cell safe, clear the fault"
                 " and home again",
             )
-        if isinstance(frame, marlin.Start) and self._known:
-            raise self._restarted()
+        if isinstance(frame, marlin.Start) and self._connected:
+            raise self._note_restart()
         self._frames.append(frame)
 
     # Connecting.
 
-    def _counts_on(self, deadline: float) -> bool:
+    def _keeps_count(self, deadline: float) -> bool:
         """Return whether the board still has the driver's last line number; if so, the board was
         not reset."""
         known = set(self._sent) | {self._number}
@@ -423,7 +423,7 @@ class MarlinDialect(LineDialect[marlin.Frame]):
     def _begin_numbers(self, deadline: float) -> None:
         """Set a random line number with ``M110``, repeated until it is answered."""
         low, high = FIRST_NUMBERS
-        self._beginnings += 1
+        self._renumberings += 1
         self._number = low + self._draw_number(high - low)
         self._sent = {}
         line = marlin.numbered(self._number, f"M110 N{self._number}")
@@ -600,7 +600,7 @@ class MarlinDialect(LineDialect[marlin.Frame]):
         )
         return AxisReading(actual, moving, "", True, asked)
 
-    def _halted(self) -> HardwareFault:
+    def _halt_fault(self) -> HardwareFault:
         why = f" ({self._halted_why})" if self._halted_why else ""
         return HardwareFault(
             FaultReason.NEEDS_PERSON,
@@ -609,8 +609,9 @@ class MarlinDialect(LineDialect[marlin.Frame]):
             "power and cable, then clear the fault and home again",
         )
 
-    def _restarted(self) -> HardwareFault:
-        self._known = False
+    def _note_restart(self) -> HardwareFault:
+        """Discard the line number of before the restart; return the fault to raise."""
+        self._connected = False
         self._number = 0
         return HardwareFault(
             FaultReason.BOARD_RESET,
@@ -618,7 +619,7 @@ class MarlinDialect(LineDialect[marlin.Frame]):
             " clear the fault and home again",
         )
 
-    def _still_busy(self) -> HardwareFault:
+    def _busy_timeout(self) -> HardwareFault:
         self.counters.timeouts += 1
         return HardwareFault(
             FaultReason.TIMEOUT,
@@ -626,10 +627,10 @@ class MarlinDialect(LineDialect[marlin.Frame]):
             " try again; if it stays busy, restart the controller",
         )
 
-    def _dead(self, what: str) -> HardwareFault:
+    def _answer_timeout(self, what: str) -> HardwareFault:
         self.counters.timeouts += 1
         if self._halted_why:
-            return self._halted()
+            return self._halt_fault()
         return HardwareFault(
             FaultReason.TIMEOUT,
             f"no answer to {what} from the arm's controller on {self._transport.name} in time:"

@@ -112,7 +112,7 @@ class OutputTapperDriver(RecordingTapper):
         try:
             self._attempted = max(self._attempted, self._memory.recall())
         except ValueError as error:
-            raise self._noted(FaultReason.SETTINGS_MISMATCH, str(error)) from error
+            raise self._record_fault(FaultReason.SETTINGS_MISMATCH, str(error)) from error
         self._link.open(timeout)
         self.counters.reconnects += again
         try:
@@ -143,7 +143,7 @@ class OutputTapperDriver(RecordingTapper):
         if read_back is not None and read_back.level:
             self._ready = None
             self._send_off()
-            raise self._noted(
+            raise self._record_fault(
                 FaultReason.REJECTED,
                 f"{self._link.name} reads back as on while no shot is under way: switch the"
                 " tapper's supply off, and look for another program or a stuck relay",
@@ -164,14 +164,14 @@ class OutputTapperDriver(RecordingTapper):
         DISCONNECTED, REJECTED, SETTINGS_MISMATCH.
         """
         if channel:
-            raise self._noted(
+            raise self._record_fault(
                 FaultReason.SETTINGS_MISMATCH,
                 f"channel {channel} was requested, but {self._link.name} fires one tapper, "
                 "channel 0; correct the channels in the cell file",
             )
         least, most = self.settings.energies[0], self.settings.energies[-1]
         if not (0 < shot <= protocol.MAXIMUM_SHOT and least <= energy <= most):
-            raise self._noted(
+            raise self._record_fault(
                 FaultReason.OUT_OF_RANGE,
                 f"shot number {shot} or energy {energy:g} J is out of range: the number must be 1"
                 f" to {protocol.MAXIMUM_SHOT}, the energy {least:g} to {most:g} J"
@@ -180,7 +180,7 @@ class OutputTapperDriver(RecordingTapper):
         self._refuse_spent(shot)
         reply = self.status()
         if not reply.interlock_closed:
-            raise self._noted(
+            raise self._record_fault(
                 FaultReason.INTERLOCK, f"the guard of {self._link.name} is open: close it"
             )
         if go_on():
@@ -326,7 +326,7 @@ class OutputTapperDriver(RecordingTapper):
 
     def _refuse_spent(self, shot: int) -> None:
         if shot <= self._attempted:
-            raise self._noted(
+            raise self._record_fault(
                 FaultReason.SHOT_SPENT,
                 f"shot {shot} may have been fired already (last sent: {self._attempted}): use a"
                 " new number",
@@ -346,7 +346,7 @@ class OutputTapperDriver(RecordingTapper):
                 self._connected = False
                 self.counters.timeouts += 1
                 what = "reads back as on" if self._reads_on() else "does not answer"
-                raise self._noted(
+                raise self._record_fault(
                     FaultReason.TIMEOUT,
                     f"{self._link.name} {what} {OFF_TIMEOUT:g} s after it was switched off: switch"
                     " the tapper's supply off and check the robot's driver",
@@ -354,7 +354,7 @@ class OutputTapperDriver(RecordingTapper):
             self._link.wait(WAIT)
         if self._link.answer(number) is Answer.REFUSED:
             self._connected = False
-            raise self._noted(
+            raise self._record_fault(
                 FaultReason.REJECTED,
                 f"{self._link.name} refused to switch off: check the number of the output and"
                 " whether the robot's driver may switch it",
@@ -370,7 +370,7 @@ class OutputTapperDriver(RecordingTapper):
             if self._link.now() >= deadline:
                 self.counters.timeouts += 1
                 what = "guard" if self._link.guard is None else "read_back"
-                raise self._noted(
+                raise self._record_fault(
                     FaultReason.TIMEOUT,
                     f"no message has arrived on the topic that tapper.output.{what} names: the"
                     " robot's driver must publish a std_msgs/Bool there at least every"
@@ -387,7 +387,7 @@ class OutputTapperDriver(RecordingTapper):
             silence = math.inf if level is None else self._link.now() - level.received
             if silence > self.settings.guard_timeout:
                 self._ready, self._connected = None, False
-                raise self._noted(
+                raise self._record_fault(
                     FaultReason.DISCONNECTED,
                     f"the topic that tapper.output.{name} names has been silent for"
                     f" {silence:.2f} s (limit {self.settings.guard_timeout:g} s): check the robot's"
@@ -424,6 +424,6 @@ class OutputTapperDriver(RecordingTapper):
     def _require(self) -> None:
         self._require_no_stop()
         if not self.connected:
-            raise self._noted(
+            raise self._record_fault(
                 FaultReason.DISCONNECTED, f"{self._link.name} is not connected: connect first"
             )

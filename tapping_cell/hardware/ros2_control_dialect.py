@@ -220,14 +220,14 @@ class Ros2ControlDialect:
         """Wait for a short time; raise if no states have arrived for too long."""
         self._link.wait(min(longest, WAIT))
         if self._silence() > self._settings.state_timeout:
-            raise self._silent()
+            raise self._silence_fault()
 
     def _silence(self) -> float:
         """Return the time since the newest state was measured, s."""
         samples = self._link.samples
         return self._link.now() - samples[-1].measured if samples else math.inf
 
-    def _silent(self) -> HardwareFault:
+    def _silence_fault(self) -> HardwareFault:
         self.counters.timeouts += 1
         samples = self._link.samples
         late = bool(samples) and self._link.now() - samples[-1].received < 0.1
@@ -269,7 +269,7 @@ class Ros2ControlDialect:
             if waited > self._settings.state_timeout and (
                 self._silence() > self._settings.state_timeout or self._link.now() >= deadline
             ):
-                raise self._silent()
+                raise self._silence_fault()
             self._link.wait(WAIT)
 
     def _checked(self, sample: JointSample) -> JointSample:

@@ -39,6 +39,10 @@ class Joints(NamedTuple):
     tool: float
 
 
+REVOLUTE = [0, 1, 3]
+"""Indices of the revolute joints in ``Joints``."""
+
+
 class TipPose(NamedTuple):
     """Pose of the striker's tip in ``arm_base``: x, y, z in m; yaw of the line of travel in rad."""
 

@@ -110,7 +110,7 @@ class SerialTransport:
                     # 0, so at least one byte is requested.
                     return bytes(port.read(max(port.in_waiting, 1)))
             except (OSError, ValueError, TypeError) as error:
-                raise self._lost(error) from error
+                raise self._close_after(error) from error
             if self.now() >= deadline:
                 return b""
 
@@ -174,15 +174,15 @@ class SerialTransport:
             _, writable, _ = select.select([], [port], [], 0)
             return int(port.write(data) or 0) if writable else 0
         except (OSError, ValueError, TypeError) as error:
-            raise self._lost(error) from error
+            raise self._close_after(error) from error
 
     def _wait_writable(self, port: serial.Serial) -> None:
         try:
             select.select([], [port], [], POLL_SLICE)
         except (OSError, ValueError, TypeError) as error:
-            raise self._lost(error) from error
+            raise self._close_after(error) from error
 
-    def _lost(self, error: Exception) -> HardwareFault:
+    def _close_after(self, error: Exception) -> HardwareFault:
         port, self._port = self._port, None
         if port is not None:
             with contextlib.suppress(OSError):

@@ -169,12 +169,12 @@ class RecordingTapper:
 
     def _require_no_stop(self) -> None:
         if self._stopped.is_set():
-            raise self._noted(
+            raise self._record_fault(
                 FaultReason.STOPPED,
                 "the tapper is stopped: make the cell safe, then clear the fault",
             )
 
-    def _noted(self, reason: FaultReason, sentence: str) -> HardwareFault:
+    def _record_fault(self, reason: FaultReason, sentence: str) -> HardwareFault:
         self.counters.last_error = sentence
         return HardwareFault(reason, sentence)
 
@@ -274,17 +274,17 @@ class TapperDriver(RecordingTapper):
                 break
             if self._transport.now() > deadline:
                 self._require_readable()
-                raise self._noted(
+                raise self._record_fault(
                     FaultReason.UNKNOWN_FIRMWARE,
                     f"nothing on {self._transport.name} answers like the tapper: check the port,"
                     " power and that its firmware is loaded",
                 )
         if reply.version.split(".")[0] != PROTOCOL_VERSION:
-            raise self._other_firmware(reply.version)
+            raise self._firmware_fault(reply.version)
         return reply
 
-    def _other_firmware(self, version: str) -> HardwareFault:
-        return self._noted(
+    def _firmware_fault(self, version: str) -> HardwareFault:
+        return self._record_fault(
             FaultReason.UNKNOWN_FIRMWARE,
             f"tapper firmware {version} uses another protocol than this driver (version"
             f" {PROTOCOL_VERSION}): flash the firmware of this repository (make -C firmware/tapper"
@@ -340,7 +340,7 @@ class TapperDriver(RecordingTapper):
                 raise self._refusal(reply)
             if reply.channels > 1:
                 raise self._refusal(reply)
-            raise self._noted(
+            raise self._record_fault(
                 FaultReason.HOMING_FAILED,
                 "the tapper's carriage did not find its front switch, or did not leave it: check"
                 " the motor's power and enable wire, the switch and its wire (D9)",
@@ -368,10 +368,10 @@ class TapperDriver(RecordingTapper):
         NEEDS_PERSON.
         """
         if not 0 <= channel < self._channels:
-            raise self._noted(FaultReason.SETTINGS_MISMATCH, self._no_such_channel(channel))
+            raise self._record_fault(FaultReason.SETTINGS_MISMATCH, self._no_such_channel(channel))
         energy_uj = round(energy * 1e6) if energy == energy and abs(energy) < 1e9 else -1
         if not (0 < shot <= protocol.MAXIMUM_SHOT and 0 < energy_uj <= protocol.MAXIMUM_ENERGY_UJ):
-            raise self._noted(
+            raise self._record_fault(
                 FaultReason.OUT_OF_RANGE,
                 f"shot number {shot} or energy {energy:g} J is out of range: the number must be 1"
                 f" to {protocol.MAXIMUM_SHOT}, the energy above 0 and at most"
@@ -381,7 +381,7 @@ class TapperDriver(RecordingTapper):
         until = self._transport.now() + self.settings.home_timeout
         while True:
             reply = self._request(
-                Command.CHARGE, shot, energy_uj, round(timeout * 1e3), *_named(channel)
+                Command.CHARGE, shot, energy_uj, round(timeout * 1e3), *_channel_argument(channel)
             )
             if reply.result is Result.NOT_HOMED and reply.state is State.UNHOMED:
                 if not go_on():
@@ -409,7 +409,7 @@ class TapperDriver(RecordingTapper):
                 raise self._refusal(reply)
             if self._transport.now() > deadline:
                 self.discharge()
-                raise self._noted(
+                raise self._record_fault(
                     FaultReason.TIMEOUT,
                     f"the tapper was not charged after {self.settings.charge_timeout:g} s: check"
                     " whether the spring or its motor is blocked",
@@ -421,7 +421,7 @@ class TapperDriver(RecordingTapper):
         echoed = reply.shot, round(reply.energy * 1e6), reply.channel
         if echoed != (shot, energy_uj, channel):
             self.discharge()
-            raise self._noted(
+            raise self._record_fault(
                 FaultReason.REJECTED,
                 f"the tapper is charged for shot {reply.shot} with {reply.energy:g} J on "
                 f"channel {reply.channel}, but shot {shot} with {energy:g} J on channel {channel} "
@@ -457,7 +457,7 @@ class TapperDriver(RecordingTapper):
         self._require_session()
         self._refuse_spent(shot)
         if not 1e-3 <= window <= protocol.LONGEST_WINDOW:
-            raise self._noted(
+            raise self._record_fault(
                 FaultReason.OUT_OF_RANGE,
                 f"the firing window of shot {shot} is {window:g} s, but must be 0.001 to"
                 f" {protocol.LONGEST_WINDOW:g} s",
@@ -515,14 +515,14 @@ class TapperDriver(RecordingTapper):
         there was none."""
         sequence = self._next_sequence()
         frame = protocol.encode(
-            self._session, sequence, Command.FIRE, shot, deadline, *_named(self._channel)
+            self._session, sequence, Command.FIRE, shot, deadline, *_channel_argument(self._channel)
         )
         timeout = self.settings.fire_reply_timeout
         return self._exchange(frame, sequence, self.settings.attempts, timeout, again)
 
     def _refuse_spent(self, shot: int) -> None:
         if shot <= self._attempted:
-            raise self._noted(
+            raise self._record_fault(
                 FaultReason.SHOT_SPENT,
                 f"shot {shot} may have been fired already (last tried: {self._attempted}): use a"
                 " new number",
@@ -598,7 +598,7 @@ class TapperDriver(RecordingTapper):
             raise
         if reply is None:
             self._require_readable()
-            raise self._noted(
+            raise self._record_fault(
                 FaultReason.TIMEOUT,
                 f"the tapper on {self._transport.name} does not answer {command.value}"
                 f" ({self.settings.attempts} tries): check power and cable, then connect again",
@@ -606,7 +606,7 @@ class TapperDriver(RecordingTapper):
         if reply.boot != self._boot or reply.result is Result.SESSION:
             restarted = reply.boot != self._boot
             self._boot = None
-            raise self._noted(
+            raise self._record_fault(
                 FaultReason.BOARD_RESET,
                 f"the tapper on {self._transport.name}"
                 f" {'restarted' if restarted else 'was taken over by another session'}: connect"
@@ -631,7 +631,7 @@ class TapperDriver(RecordingTapper):
             )
         else:
             return
-        raise self._noted(
+        raise self._record_fault(
             FaultReason.PROTOCOL,
             f"{what}: check tapper.baud, the cable and its grounding, and that the port is the"
             " tapper's",
@@ -699,7 +699,7 @@ class TapperDriver(RecordingTapper):
             if isinstance(decoded.frame, Reply):
                 replies.append(decoded.frame)
             elif isinstance(decoded.frame, OtherFirmware):
-                raise self._other_firmware(decoded.frame.version)
+                raise self._firmware_fault(decoded.frame.version)
             else:
                 self.counters.bad_frames += 1
                 self.counters.damaged_frames += decoded.frame.damaged
@@ -707,7 +707,7 @@ class TapperDriver(RecordingTapper):
     def _require_session(self) -> None:
         self._require_no_stop()
         if not self.connected:
-            raise self._noted(
+            raise self._record_fault(
                 FaultReason.DISCONNECTED,
                 f"no session with the tapper on {self._transport.name}: connect first",
             )
@@ -799,10 +799,10 @@ class TapperDriver(RecordingTapper):
                 " discharged itself because it received no request for 0.5 s, or the guard was"
                 " opened or the enabling switch of set-up mode released briefly; charge again",
             )
-        return self._noted(reason, text)
+        return self._record_fault(reason, text)
 
 
-def _named(channel: int) -> tuple[int, ...]:
+def _channel_argument(channel: int) -> tuple[int, ...]:
     """Return the channel argument of CHARGE and FIRE. Firmware 2.0 accepts no channel argument, so
     channel 0 is never sent."""
     return (channel,) if channel else ()

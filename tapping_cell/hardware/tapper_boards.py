@@ -220,7 +220,7 @@ class TapperBoards:
         for driver in (one for index, one in enumerate(self._drivers) if index != board):
             reply = driver.status()
             if reply.state is not State.SAFE or reply.stop_latched or not reply.interlock_closed:
-                raise _not_at_rest(driver, reply)
+                raise _rest_fault(driver, reply)
             replies.append(reply)
         return replies
 
@@ -251,7 +251,7 @@ class TapperBoards:
         )
 
 
-def _not_at_rest(driver: TapperDriver, reply: Reply) -> HardwareFault:
+def _rest_fault(driver: TapperDriver, reply: Reply) -> HardwareFault:
     """Return the fault to raise because another board is not at rest."""
     if reply.stop_latched:
         reason, text = (

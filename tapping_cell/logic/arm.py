@@ -122,12 +122,13 @@ class ArmLogic(DeviceLogic[State, Event]):
         self._cycle = ArmCycle(self._still, options.set_up)
         self._serving: Serving | None = None
         """Record of the present state; None in a state without one."""
-        self._withdrawn: Withdrawing | None = None
+        self._last_withdrawal: Withdrawing | None = None
         """Last withdrawal; None once the arm was moved again."""
         self._last_tap_id = 0
-        self._last_id = 0
+        self._last_command_id = 0
         """Id of the last command, a TAP or a CLEAR_VIEW."""
-        self._halting = False
+        self._deactivating = False
+        """Whether a job abandoned at the deactivation still runs."""
         self._camera: tuple[float, float, float] | None = None
         self._enabling = EnablingDevice()
         self._goal_active = False
@@ -135,7 +136,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         self._locked = False
         """Whether the last attempt to connect found the controller in a state, such as sleep, in
         which it refuses queries."""
-        self._clears = False
+        self._clear_requested = False
         """Whether a person has requested the end of this state."""
         self._is_released = False
         """Whether no enabling device was held at the end of the last attempt to connect, although
@@ -201,7 +202,7 @@ class ArmLogic(DeviceLogic[State, Event]):
             self._refuse(code, f"tap {command.tap_id} refused: {sentence}")
             return
         self._error = (ErrorCode.NONE, "")
-        self._last_id = command.tap_id
+        self._last_command_id = command.tap_id
         if command.request == TapCommand.CLEAR_VIEW:
             self._carry_out(self._cycle.clear_view(self._camera, now))
             return
@@ -231,7 +232,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         """Move the arm to its park pose, because the arm hides the object even after the
         withdrawal."""
         if self.state is S.IDLE:
-            hides = self._withdrawn is not None and self._withdrawn.scene is not None
+            hides = self._last_withdrawal is not None and self._last_withdrawal.scene is not None
             if hides and self._active and self._enabled(now):
                 self._carry_out(self._cycle.park(0, now))
         else:
@@ -248,8 +249,8 @@ class ArmLogic(DeviceLogic[State, Event]):
         if not self._enabled(now):
             return enabling.RELEASED
         if tap_commands.expired(command, now):
-            return ErrorCode.ARM_COMMAND_EXPIRED, tap_commands.overdue(command, now)
-        return tap_commands.refusal(command, now, self._last_id)
+            return ErrorCode.ARM_COMMAND_EXPIRED, tap_commands.expiry_message(command, now)
+        return tap_commands.refusal(command, now, self._last_command_id)
 
     def _refuse(self, code: int, sentence: str) -> None:
         """Report why a command is refused. If the arm is idle, its state contains the reason until
@@ -379,16 +380,15 @@ class ArmLogic(DeviceLogic[State, Event]):
     # Standing still for the tapper
 
     def _hold_still(self, request: HoldStill.Request, now: Now) -> HoldStill.Response:
-        error = self._unsteady(request, now)
+        error = self._hold_still_refusal(request, now)
         if error is not None:
             code, sentence = error
             return HoldStill.Response(error_code=code, error_msg=sentence)
         return self._still.promise(request, now)
 
-    def _unsteady(self, request: HoldStill.Request, now: Now) -> CodedError | None:
-        """Return why the arm refuses to promise to stand still, or None if the arm does not
-        refuse."""
-        if (error := self._still.invalid(request) or self._conflict) is not None:
+    def _hold_still_refusal(self, request: HoldStill.Request, now: Now) -> CodedError | None:
+        """Return why the arm refuses to promise to stand still, or None."""
+        if (error := self._still.duration_error(request) or self._conflict) is not None:
             return error
         at = self._serving
         if not self._active or not isinstance(at, InPosition) or request.tap_id != at.tap_id:
@@ -397,7 +397,7 @@ class ArmLogic(DeviceLogic[State, Event]):
                 f"the arm is not in position for tap {request.tap_id}: its state is"
                 f" {self.state.value} and the tap that it serves is {self._tap_id} (0: none)",
             )
-        if (error := self._still.repeated(request)) is not None:
+        if (error := self._still.repetition_error(request)) is not None:
             return error
         age = self._readings.age(now)
         if age > FRESH_READING_S or at.deviating or now.ros > at.tap.expiry:
@@ -429,7 +429,7 @@ class ArmLogic(DeviceLogic[State, Event]):
                     self._machine.move(step.event, step.record.state)
                 self._serving = step.record
             elif isinstance(step, Run):
-                self._withdrawn = None
+                self._last_withdrawal = None
                 self._run(step.name, step.job)
             else:
                 self._abandon()
@@ -457,14 +457,14 @@ class ArmLogic(DeviceLogic[State, Event]):
             return
         at = self._serving
         self._readings.take_in(result.reading if isinstance(result, MotionEnd) else result, now)
-        if self._halting:
-            self._halt(now)
+        if self._deactivating:
+            self._finish_deactivation(now)
         elif name == "connect":
-            self._stand(Event.CONNECTED)
+            self._enter_standby(Event.CONNECTED)
             if not self._active:
-                self._halt(now)
+                self._finish_deactivation(now)
         elif name == "clear":
-            self._stand(Event.CLEARED)
+            self._enter_standby(Event.CLEARED)
         elif isinstance(at, Leaving):
             self._leave_when_free(now)
         elif isinstance(at, Placing):
@@ -476,7 +476,7 @@ class ArmLogic(DeviceLogic[State, Event]):
             self._carry_out(self._cycle.park(at.tap_id, now))
         else:
             self._go(Event.HOMED if name == "home" else Event.WITHDRAWN, S.IDLE)
-            self._withdrawn = at if isinstance(at, Withdrawing) else PARKED
+            self._last_withdrawal = at if isinstance(at, Withdrawing) else TO_PARK_POSE
 
     def _job_failed(self, name: str, fault: HardwareFault, now: Now) -> None:
         tried = self.patience
@@ -493,8 +493,8 @@ class ArmLogic(DeviceLogic[State, Event]):
         if name == "place" and fault.reason is FaultReason.UNREACHABLE:
             # No motion command was sent, so the arm has not moved and there is no fault to clear.
             self._set_error(of_arm(fault), fault.sentence)
-            if self._halting:
-                self._halt(now)
+            if self._deactivating:
+                self._finish_deactivation(now)
             elif isinstance(self._serving, Placing):
                 self._give_up(self._serving, now)
             else:
@@ -507,7 +507,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         self._fail_to(target)
         self._set_error(of_arm(fault), fault.sentence)
 
-    def _overtaken(self, event: JobEnded, now: Now) -> None:
+    def _job_superseded(self, event: JobEnded, now: Now) -> None:
         result = event.result
         reading = result.reading if isinstance(result, MotionEnd) else result
         if isinstance(reading, Reading) and not self._stops.stopped:
@@ -540,7 +540,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         self._cycle.configure(event.cell)
 
     def _closed(self) -> None:
-        self._halting = False
+        self._deactivating = False
         self._readings.last = None
         # After a failed attempt to connect, the reason for the failure remains.
         if self.state not in (S.STOPPED, S.DISCONNECTED):
@@ -554,8 +554,8 @@ class ArmLogic(DeviceLogic[State, Event]):
         if self._stops.stopped or self._is_released:
             # The arm may still complete a move that an earlier process of this node has commanded.
             driver.stop_when_opened()
-        if self._clears:
-            self._clears = False
+        if self._clear_requested:
+            self._clear_requested = False
             driver.clear_fault(self.patience)
 
     def _unreachable(self, fault: HardwareFault, now: Now) -> None:
@@ -563,17 +563,17 @@ class ArmLogic(DeviceLogic[State, Event]):
         self._is_released = not self._enabled(now)
 
     def _clears_at_next_attempt(self) -> bool:
-        self._clears = self._locked
+        self._clear_requested = self._locked
         return self._locked
 
     def _connected(self, answer: Any, now: Now) -> None:
         self._readings.last = None
         if isinstance(answer, Reading):
             self._readings.take_in(answer, now)
-        self._stand(Event.CONNECTED)
+        self._enter_standby(Event.CONNECTED)
 
-    def _stand(self, event: Event) -> None:
-        """Set the state after the arm was connected, cleared or activated."""
+    def _enter_standby(self, event: Event) -> None:
+        """Go to the state in which the arm stands after it was connected, cleared or activated."""
         self.patience = patience_after(self.patience, None)
         if not self._active and event is not Event.CONNECTED:
             self._go(event, S.INACTIVE)
@@ -589,10 +589,10 @@ class ArmLogic(DeviceLogic[State, Event]):
             )
 
     def _activated(self, now: Now) -> None:
-        # If a job abandoned at the deactivation still runs, its end activates the arm (``_halt``).
-        if self._halting or self.state not in (S.NOT_HOMED, S.IDLE, S.INACTIVE):
+        # During a deactivation, the end of the abandoned job activates the arm.
+        if self._deactivating or self.state not in (S.NOT_HOMED, S.IDLE, S.INACTIVE):
             return
-        self._stand(Event.ACTIVATED)
+        self._enter_standby(Event.ACTIVATED)
         alone = self._options.home_on_activate and not self._options.set_up
         if alone and self._cell.arm.homes_alone:
             self._begin_homing(now)
@@ -603,20 +603,20 @@ class ArmLogic(DeviceLogic[State, Event]):
         if self._job is not None:
             # The arm stops at the end of the waypoint move in progress.
             self._abandon()
-            self._halting = True
+            self._deactivating = True
         else:
-            self._halt(now)
+            self._finish_deactivation(now)
 
-    def _halt(self, now: Now) -> None:
-        self._halting = False
+    def _finish_deactivation(self, now: Now) -> None:
+        self._deactivating = False
         self._go(Event.DEACTIVATED, S.INACTIVE)
         self._error = INACTIVE_ERROR
         if self._active:
             self._activated(now)
 
     def _stop(self, now: Now) -> None:
-        self._overtake()
-        self._halting = False
+        self._supersede_job()
+        self._deactivating = False
         self._forget_position()
         self._go(Event.STOP, S.STOPPED)
         self._set_error(*self.stop_error)
@@ -628,16 +628,16 @@ class ArmLogic(DeviceLogic[State, Event]):
             self._fail_to(S.FAULT)
 
     def _fail_to(self, target: State) -> None:
-        self._overtake()
-        self._halting = False
+        self._supersede_job()
+        self._deactivating = False
         self._forget_position()
         self._go(Event.FAILED, target)
 
     def _forget_position(self) -> None:
         self._readings.last = None
-        if self._withdrawn is not None:
+        if self._last_withdrawal is not None:
             # A late withdrawal must not move the arm after the stop or fault was cleared.
-            self._withdrawn = PARKED
+            self._last_withdrawal = TO_PARK_POSE
 
     def _healthy(self) -> bool:
         return self.state in HEALTHY
@@ -669,7 +669,7 @@ class ArmLogic(DeviceLogic[State, Event]):
             state=WIRE[self.state],
             tap_id=self._tap_id,
             homed=reading is not None,
-            clear_of_camera=self._withdrawn is not None,
+            clear_of_camera=self._last_withdrawal is not None,
             set_up=self._options.set_up,
             enabled=self._is_key_held(now),
             last_stop=self._last_stop,
@@ -698,6 +698,6 @@ class ArmLogic(DeviceLogic[State, Event]):
         return WIRE[state], self._tap_id, self._is_key_held(now), self._shown_error(now), read
 
 
-PARKED = Withdrawing(tap_id=0, scene=None)
+TO_PARK_POSE = Withdrawing(tap_id=0, scene=None)
 """Withdrawal to the park pose."""
 INACTIVE_ERROR = (ErrorCode.NOT_ACTIVE, "the arm's node is not active; activate it")

@@ -275,14 +275,14 @@ class CellMonitor:
             f" positions '{self._own}'; give camera_pose and tap_planner the same cell file",
         )
 
-    def missing(self, now: Now) -> CodedError | None:
+    def why_not_ready(self, now: Now) -> CodedError | None:
         """Return why the cell is not ready for a tap, or None if the cell is ready."""
         arm, tapper = self.arm, self.tapper
         if self.conflict:
             return ErrorCode.CONFIGURATION_CONFLICT, self.conflict
         if (foreign := self.foreign_object()) is not None:
             return foreign
-        of_arm = self._arm_missing(arm, now) if self.has_arm else None
+        of_arm = self._why_arm_not_ready(arm, now) if self.has_arm else None
         if of_arm is not None:
             return of_arm
         if tapper is None or (
@@ -301,9 +301,9 @@ class CellMonitor:
             return ErrorCode.TAPPER_INTERLOCK_OPEN, "the tapper's interlock is open; close it"
         if not self._observed or self.silent("object", now):
             return ErrorCode.CAMERA_SILENT, self._silence("object", now)
-        return self._skew(now)
+        return self._clock_error(now)
 
-    def _skew(self, now: Now) -> CodedError | None:
+    def _clock_error(self, now: Now) -> CodedError | None:
         skewed = skewed_clock(self._clocks, now)
         if skewed is None:
             return None
@@ -315,7 +315,7 @@ class CellMonitor:
             " synchronise the computers' clocks",
         )
 
-    def _arm_missing(self, arm: ArmState | None, now: Now) -> CodedError | None:
+    def _why_arm_not_ready(self, arm: ArmState | None, now: Now) -> CodedError | None:
         if arm is None or (self.silent("arm", now) and not self._connecting("arm", arm, now)):
             return ErrorCode.ARM_SILENT, self._silence("arm", now)
         if arm.set_up and not arm.enabled:
@@ -345,14 +345,14 @@ class CellMonitor:
                 return state.error_code or ErrorCode.NOT_READY, state.error_msg
         return None
 
-    def unhomed(self) -> CodedError | None:
+    def homing_error(self) -> CodedError | None:
         """Return the error of an arm whose position is not known, or None."""
         arm = self.arm
         if not self.has_arm or arm is None or arm.state != ArmState.NOT_HOMED:
             return None
         return arm.error_code or ErrorCode.ARM_NOT_HOMED, arm.error_msg
 
-    def lost(self, now: Now) -> bool:
+    def is_disconnected(self, now: Now) -> bool:
         """Return whether the connection to arm or tapper is lost; their drivers reconnect
         automatically."""
         arm, tapper = self.arm, self.tapper
@@ -365,7 +365,7 @@ class CellMonitor:
             or (tapper is not None and tapper.state == TapperState.DISCONNECTED)
         )
 
-    def withdrawn(self, now: Now) -> bool:
+    def is_withdrawn(self, now: Now) -> bool:
         """Return whether the arm does not restrict the camera's view, no tapper is charged, and
         every striker at a fixed mount is retracted."""
         arm = self.arm
@@ -373,14 +373,14 @@ class CellMonitor:
             arm is not None and arm.state == ArmState.IDLE and arm.clear_of_camera
         )
         safe = self.tapper is not None and self.tapper.state == TapperState.SAFE
-        return free and safe and not self.lost(now)
+        return free and safe and not self.is_disconnected(now)
 
     def in_position(self, tap_id: int) -> bool:
         """Return whether the arm reports that it is in position for this tap."""
         arm = self.arm
         return arm is not None and arm.tap_id == tap_id and arm.state == ArmState.IN_POSITION
 
-    def out_of_reach(self, tap_id: int) -> CodedError | None:
+    def reach_error(self, tap_id: int) -> CodedError | None:
         """Return why the arm cannot reach the strike pose of this tap, or None if the arm has not
         reported this error."""
         arm = self.arm
@@ -388,7 +388,7 @@ class CellMonitor:
             return None
         return arm.error_code, arm.error_msg
 
-    def left_behind(self) -> int:
+    def orphaned_tap_id(self) -> int:
         """Return the id of the tap that a previous planner has commanded and that the arm still
         executes; 0 if there is no such tap."""
         arm = self.arm
@@ -431,7 +431,7 @@ class CellMonitor:
         state = self._states.get(name)
         return state is not None and state.visible and not state.error_code
 
-    def blind(
+    def why_not_observed(
         self, waited: float | None, frames: int, now: Now, moved_aside: bool = False
     ) -> CodedError:
         """Return why there is no usable observation.
@@ -466,7 +466,7 @@ class CellMonitor:
             )
         age = now.steady - self.observed_at(now)
         if age > self._silence_limit:
-            return self._skew(now) or (
+            return self._clock_error(now) or (
                 ErrorCode.CAMERA_SILENT,
                 f"the last image is {age:.2f} s old (limit {self._silence_limit:.2f} s); check the"
                 " camera's rate and the connection to its computer",

@@ -177,7 +177,7 @@ class DeviceLogic(ABC, Generic[State, Event]):
     def _read_done(self, result: Any, now: Now) -> None: ...
 
     @abstractmethod
-    def _overtaken(self, event: JobEnded, now: Now) -> None:
+    def _job_superseded(self, event: JobEnded, now: Now) -> None:
         """Handle the end of a job during which a stop, a fault or a new connection occurred. Keep
         the part of the job's result that is still valid."""
 
@@ -273,7 +273,7 @@ class DeviceLogic(ABC, Generic[State, Event]):
             self._deactivated(now)
         else:
             self._active = self._configured = False
-            self._overtake()
+            self._supersede_job()
             self._reading = None
             self._closed()
         return self._drain(now)
@@ -337,15 +337,15 @@ class DeviceLogic(ABC, Generic[State, Event]):
             self._reading = None
             is_defect = not isinstance(event.fault, HardwareFault | None)
             if (self._job is None or is_defect) and not self._stops.stopped:
-                self._end(event, "read", now)
+                self._handle_job_end(event, "read", now)
         elif event.job == self._job:
             self._job = None
-            self._end(event, self._job_name, now)
+            self._handle_job_end(event, self._job_name, now)
         else:
             if event.job == self._clear_job and self._stops.stopped:
                 # This job may have cleared the device's stop just after the new stop was sent.
                 self._effects.append(StopWire())
-            self._overtaken(event, now)
+            self._job_superseded(event, now)
         return self._drain(now)
 
     def on_tick(self, now: Now) -> Sequence[Effect]:
@@ -370,11 +370,11 @@ class DeviceLogic(ABC, Generic[State, Event]):
         self._keep_stops(now)  # the handler may have latched or reset a stop
         self._defect(error, now)
         for job in unstarted:
-            self._overtaken(JobEnded(job, fault=NOT_STARTED), now)
+            self._job_superseded(JobEnded(job, fault=NOT_STARTED), now)
         unanswered = dict.fromkeys(self._resets, "~/clear_fault")
         self._resets.clear()
         if isinstance(lost, JobEnded):
-            self._overtaken(lost, now)
+            self._job_superseded(lost, now)
         elif isinstance(lost, UnansweredRequest):
             unanswered[lost.token] = lost.service
         for effect in self._effects:
@@ -393,7 +393,7 @@ class DeviceLogic(ABC, Generic[State, Event]):
         elif isinstance(lost, UnansweredRequest) and lost.service == "~/stop":
             self._stops.press()
 
-    def _end(self, event: JobEnded, name: str, now: Now) -> None:
+    def _handle_job_end(self, event: JobEnded, name: str, now: Now) -> None:
         fault = event.fault
         if fault is None:
             if name == "read":
@@ -405,7 +405,7 @@ class DeviceLogic(ABC, Generic[State, Event]):
         else:
             self._effects.append(StopWire())
             self._defect(fault, now)
-            self._overtaken(event, now)
+            self._job_superseded(event, now)
 
     def _defect(self, error: Exception, now: Now) -> None:
         self._reading = None  # its end must not replace the report of the defect
@@ -440,7 +440,7 @@ class DeviceLogic(ABC, Generic[State, Event]):
         if self._job is not None:
             self._effects.append(AbandonJob(self._job))
 
-    def _overtake(self) -> None:
+    def _supersede_job(self) -> None:
         """Abandon the job under way, so that its end does not change the state."""
         self._abandon()
         self._job = None

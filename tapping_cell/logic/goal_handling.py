@@ -119,7 +119,7 @@ class GoalHandling:
         self._in_background = solve_in_background
         self._planner = planner or cell.file.goal.planner
         self._cells = {file.name: replace(cell, object=file) for file in objects.files}
-        self._known = {
+        self._learnt_gains = {
             name: load_gains(name, keep_for) if keep_for else Gains.start() for name in self._cells
         }
         self._tapped = cell.object.name
@@ -181,7 +181,7 @@ class GoalHandling:
             self._planner_for(self._cells[self._tapped], tolerance),
             self.map.space,
             self.map.free,
-            self._known[self._tapped],
+            self._learnt_gains[self._tapped],
             times=self._times[self._tapped],
             objective=self._objective,
             adapt=self._adapt,
@@ -255,7 +255,7 @@ class GoalHandling:
     def gains(self) -> Gains:
         """Corrections of the model of the cell's own object, learnt from the taps of earlier
         goals."""
-        return self._known[self.cell.object.name]
+        return self._learnt_gains[self.cell.object.name]
 
     def learnt(self) -> dict[str, str]:
         """Return the learnt corrections of the model and their standard deviations as text, for
@@ -269,7 +269,7 @@ class GoalHandling:
     def learn(self, task: Task) -> None:
         """Use the corrections of the model that were learnt from a goal's taps, also before the
         goal has ended, for the goals that are accepted from now on."""
-        self._known |= task.learnt()
+        self._learnt_gains |= task.learnt()
 
     def keep_learnt(self, task: Task) -> None:
         """Store the corrections that were learnt in a goal for later runs, if the cell keeps them.
@@ -426,7 +426,7 @@ class GoalHandling:
         first, one = next(iter(wanted.items()))
         body = next(body for body in bodies if body.name == first)
         session = PositioningSession(
-            one.goal, body.planner, body.free.space, body.free, self._known[first]
+            one.goal, body.planner, body.free.space, body.free, self._learnt_gains[first]
         )
         return ArrangementTask(
             object_id=first,
@@ -439,7 +439,7 @@ class GoalHandling:
             expires=now.steady + (asked.time_limit or self._time_limit * len(wanted)),
             wanted=wanted,
             bodies=bodies,
-            known=dict(self._known),
+            known=dict(self._learnt_gains),
             adapt=self._adapt,
             in_order=asked.in_order,
             memory=min(self.objects.memory, LONGEST_MEMORY_S),

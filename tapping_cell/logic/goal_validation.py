@@ -1,4 +1,4 @@
-"""Validation of received goals before any motion."""
+"""Validation of the message of a goal. ``planning/goal.py`` checks whether its pose is possible."""
 
 from __future__ import annotations
 

@@ -7,7 +7,7 @@ import math
 from tapping_cell.configuration.cell import Cell
 from tapping_cell.hardware.faults import HardwareFault
 from tapping_cell.hardware.motion import check_limits
-from tapping_cell.hardware.scara import Joints
+from tapping_cell.hardware.scara import REVOLUTE, Joints
 from tapping_cell.logic.error_codes import of_arm
 from tapping_cell.logic.tap_commands import CodedError
 from tapping_cell.messages import ErrorCode, Jog
@@ -59,7 +59,7 @@ def target(cell: Cell, here: Joints, request: Jog.Request) -> Joints | CodedErro
         if solution.joints is None:
             return ErrorCode.ARM_OUT_OF_REACH, solution.reason
         goal = solution.joints
-        change = max(abs(goal[index] - here[index]) for index in (0, 1, 3))
+        change = max(abs(goal[index] - here[index]) for index in REVOLUTE)
         if change > LARGEST_JOINT_CHANGE_RAD:
             return (
                 ErrorCode.ARM_JOINT_LIMIT,

@@ -283,13 +283,13 @@ class PlannerLogic:
         refused: Refused | None = goal_requests.NOT_ACTIVE
         if self._active:
             refused = goal_requests.refusal(asked, self._task, self._monitor)
-        task = self._accepted(asked, token, now, refused)
+        task = self._accept(asked, token, now, refused)
         if task is not None:
             self._begin(task, now)
             if isinstance(asked, Request):
                 task.sent = to_nanoseconds(asked.message.header.stamp) or task.sent
 
-    def _accepted(
+    def _accept(
         self,
         asked: Request | SingleTap.Goal | ArrangeObjects.Goal,
         token: Token | None,
@@ -318,7 +318,7 @@ class PlannerLogic:
         self._resumption.take()  # a goal that arrives before the resumption is newer
         self._confirmations.begin(task.is_resumed)
         self._monitor.watch(task.object_id)
-        self._effects.extend(self._resumption.keep(task, False, now))
+        self._effects.extend(self._resumption.keep(task, now, is_tapping=False))
         task.sent = now.ros - round(SKEW_LIMIT_S * NANOSECONDS)
         self._log(LogLevel.INFO, task.description())
         deadline = now.steady + self._settings.ready_deadline
@@ -327,15 +327,15 @@ class PlannerLogic:
     def _resume(self, kept: KeptGoal, now: Now) -> None:
         """Resume the goal of a planner that crashed. If a stop or a fault has been reported since
         the start of this planner, end the goal, as the planner that crashed would have done."""
-        outdated = self._resumption.outdated(kept, now)
+        outdated = self._resumption.expiry_message(kept, now)
         if outdated:
             self._log(LogLevel.WARNING, outdated)
             return
-        task = self._accepted(kept.remaining(now), None, now)
+        task = self._accept(kept.remaining(now), None, now)
         if task is None:
             return
         task.is_resumed, task.earlier_taps = True, kept.request.earlier_taps
-        self._resumption.stopped_since(kept)
+        self._resumption.note_earlier_stops(kept)
         self._log(LogLevel.WARNING, "resuming the goal of a planner that crashed")
         self._begin(task, now)
         self._effects.extend(self._sender.withdraw_orphan(now))
@@ -391,7 +391,7 @@ class PlannerLogic:
         self._confirmations.change(ask)
         if self._task is not None:
             is_tapping = shot_of(self._record) is not None
-            self._effects.extend(self._resumption.keep(self._task, is_tapping, now))
+            self._effects.extend(self._resumption.keep(self._task, now, is_tapping=is_tapping))
         if self._active:
             self._report_again(now)
 
@@ -424,7 +424,7 @@ class PlannerLogic:
         self._confirmations.forget()
         self._monitor.watch(task.object_id)  # the result contains the pose of this object
         if shot is not None:
-            task.lose(shot)
+            task.record_unobserved(shot)
         task.end(how.code, how.sentence)
         subject = Subject(how.state, task, shot)
         self._effects.extend(self._make_report(subject, now, how.code, how.sentence))

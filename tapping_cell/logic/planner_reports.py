@@ -82,6 +82,7 @@ class PlanReports:
         self._confirmations = confirmations
         self._reported_at = -math.inf
         self._learnt: tuple[Gains | None, LearntGains] = (None, LearntGains())
+        """The gains that were reported last, and their message, which is computed only once."""
         self.last = PlanState(residual_distance=math.nan, residual_rotation=math.nan)
         """Last published ``plan_state``."""
 

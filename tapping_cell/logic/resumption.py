@@ -50,7 +50,7 @@ class Resumption:
         self._kept: KeptGoal | None = None
         self._stop: CodedError | None = None
 
-    def keep(self, task: Task, is_tapping: bool, now: Now) -> Iterator[Effect]:
+    def keep(self, task: Task, now: Now, *, is_tapping: bool) -> Iterator[Effect]:
         """Store a goal. ``is_tapping``: whether a tap is under way; it counts, because its outcome
         is not known after a crash."""
         if task.resumable and self._within > 0:
@@ -96,7 +96,7 @@ class Resumption:
         kept, self._kept = self._kept, None
         return kept
 
-    def outdated(self, kept: KeptGoal, now: Now) -> str:
+    def expiry_message(self, kept: KeptGoal, now: Now) -> str:
         """Return why a goal is not resumed any more; an empty text if it is not too late."""
         late = now.steady - kept.until
         if late <= 0:
@@ -110,7 +110,7 @@ class Resumption:
         """Store the first stop or fault that was reported since the start of this planner."""
         self._stop = self._stop or stop
 
-    def stopped_since(self, kept: KeptGoal) -> None:
+    def note_earlier_stops(self, kept: KeptGoal) -> None:
         """Also count the stops that were reported while no planner ran."""
         self.note_stop(self._monitor.recall_stops(kept.stops))
 

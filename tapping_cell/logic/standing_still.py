@@ -28,29 +28,29 @@ class StandingStill:
     def __init__(self) -> None:
         self.until = -math.inf
         """End of the promise."""
-        self._longest = 0.0
+        self._longest_hold = 0.0
         self._outcome_received = 0
         """Id of the last tap of which the tapper has reported the outcome."""
         self._charged_until = -math.inf
 
     def configure(self, cell: Cell, now: Now) -> None:
         """Use the limits of this cell."""
-        self._longest = permit.longest_hold(cell)
+        self._longest_hold = permit.longest_hold(cell)
         # Before a restart, this node may have granted a promise to stand still, possibly to a
         # tapper with another cell file. Assume that the longest possible promise was granted.
         self.until = max(self.until, now.steady + permit.LONGEST_HOLD_S)
 
-    def invalid(self, request: HoldStill.Request) -> CodedError | None:
+    def duration_error(self, request: HoldStill.Request) -> CodedError | None:
         """Return why a request is refused because of its duration, or None."""
-        if 0 < request.duration <= self._longest:
+        if 0 < request.duration <= self._longest_hold:
             return None
         return (
             ErrorCode.COMMAND_INVALID,
             f"the duration of hold_still is {request.duration:g} s; it must be above 0 and at "
-            f"most {self._longest:g} s",
+            f"most {self._longest_hold:g} s",
         )
 
-    def repeated(self, request: HoldStill.Request) -> CodedError | None:
+    def repetition_error(self, request: HoldStill.Request) -> CodedError | None:
         """Return why a request is refused because its tap is over, or None."""
         if self._outcome_received != request.tap_id:
             return None

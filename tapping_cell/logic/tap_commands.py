@@ -115,7 +115,7 @@ def late_withdrawal(command: TapCommand, now: Now) -> str:
     )
 
 
-def overdue(command: TapCommand, now: Now) -> str:
+def expiry_message(command: TapCommand, now: Now) -> str:
     """Return the error message for a command whose expiry has passed."""
     late = (now.ros - to_nanoseconds(command.expiry)) / NANOSECONDS
     return (

@@ -59,7 +59,7 @@ def may_have_been_fired(shot: Shot, has_arm: bool) -> bool:
     return shot.outcome != TapperState.NOT_FIRED
 
 
-def exhausts(task: Task, shot: Shot, settings: PlannerSettings, *, is_late: bool) -> bool:
+def count_unfired(task: Task, shot: Shot, settings: PlannerSettings, *, is_late: bool) -> bool:
     """Count a tap that was commanded and not fired, once. Return whether no further tap is made:
     another attempt is as safe as the first, but their number is limited."""
     if shot.counted:
@@ -70,7 +70,7 @@ def exhausts(task: Task, shot: Shot, settings: PlannerSettings, *, is_late: bool
     return task.not_fired >= settings.attempts or task.late >= settings.late_attempts
 
 
-def exhausted(task: Task, settings: PlannerSettings, pose: Pose | None) -> CodedError | None:
+def tap_limit_error(task: Task, settings: PlannerSettings, pose: Pose | None) -> CodedError | None:
     """Return why no further tap is made, or None if a further tap may be made. ``pose``: present
     pose of the object, None while it is not seen."""
     if task.without_effect >= settings.attempts:

@@ -69,11 +69,11 @@ def advance(at: Working, parts: PlannerParts, now: Now) -> Steps:
 
 def wait_for_cell(at: WaitingForCell, parts: PlannerParts, now: Now) -> Steps:
     """Wait until arm, tapper and camera are ready; end a tap left over from a former run."""
-    missing = parts.monitor.missing(now)
+    missing = parts.monitor.why_not_ready(now)
     if missing is None:
         yield Go(Event.CELL_READY, new_look(at, parts, now))
         return
-    unhomed = parts.monitor.unhomed()
+    unhomed = parts.monitor.homing_error()
     if at.task.is_resumed and unhomed is not None:
         # The arm may have been stopped while no planner ran. Homing must not continue the goal.
         yield failed(*unhomed)
@@ -107,12 +107,12 @@ def look(at: Looking, parts: PlannerParts, now: Now) -> Steps:
             yield Go(None, at)  # from here on, the tap's record counts
         else:
             yield Go(None, at)
-            if tap_counts.exhausts(task, shot, parts.settings, is_late=True):
+            if tap_counts.count_unfired(task, shot, parts.settings, is_late=True):
                 yield failed(ErrorCode.NOT_READY, GIVEN_UP)
                 return
-            yield from parts.resumption.keep(task, False, now)
+            yield from parts.resumption.keep(task, now, is_tapping=False)
     # While the arm may hide a part of the table, the camera does not search for unknown objects.
-    search_since = at.since if monitor.withdrawn(now) else -math.inf
+    search_since = at.since if monitor.is_withdrawn(now) else -math.inf
     unknown = parts.goals.update_free_space(task, at.since, search_since, now)
     if unknown is not None:
         if at.is_late(now.steady):
@@ -148,7 +148,7 @@ def decided(at: Planning, result: Any, seen: ObjectState, parts: PlannerParts, n
 def wait_for_person(at: Confirming, parts: PlannerParts, now: Now) -> Steps:
     """Wait until a person confirms or rejects the proposed tap; drop the proposal if an object
     moves."""
-    if parts.monitor.lost(now):
+    if parts.monitor.is_disconnected(now):
         yield from wait_again(at, parts, now)
     elif disturbed(at.task, at.proposed, parts, now):
         yield from drop_proposal(at, "an object was moved", parts, now)
@@ -169,7 +169,7 @@ def wait_for_arm(at: Placing, parts: PlannerParts, now: Now) -> Steps:
         yield Log(LogLevel.WARNING, MOVED_BEFORE_TAP)
         parts.confirmations.withdraw("an object was moved")
         yield from give_up(at, TapperState.UNKNOWN, parts, now)
-    elif (unreachable := monitor.out_of_reach(shot.tap_id)) is not None:
+    elif (unreachable := monitor.reach_error(shot.tap_id)) is not None:
         yield from try_another_way(at, *unreachable, parts, now)
     elif monitor.outcome(shot.tap_id) != TapperState.NONE:
         yield from take_outcome(at, parts, now)
@@ -194,14 +194,14 @@ def wait_for_tapper(at: Firing, parts: PlannerParts, now: Now) -> Steps:
         # still reports the outcome.
         parts.confirmations.withdraw("an object was moved")
         yield from parts.sender.withdraw(shot.tap_id, now)
-    if at.is_late(now.steady) or monitor.lost(now):
+    if at.is_late(now.steady) or monitor.is_disconnected(now):
         yield Log(LogLevel.WARNING, "the tap's outcome is not known; observing the object")
         yield from give_up(at, TapperState.UNKNOWN, parts, now)
 
 
 def settle(at: Settling, parts: PlannerParts, now: Now) -> Steps:
     """Wait until the arm has withdrawn and the camera has a free view."""
-    if parts.monitor.withdrawn(now) and now.steady >= at.moves_until:
+    if parts.monitor.is_withdrawn(now) and now.steady >= at.moves_until:
         yield Go(Event.WITHDRAWN, new_look(at, parts, now))
         return
     missing = "arm did not withdraw" if parts.monitor.has_arm else "striker did not return"

@@ -54,10 +54,10 @@ def act(
     if isinstance(decision, Done):
         yield End(State.IDLE if task.prescribed else State.REACHED)
         return
-    error = tap_counts.exhausted(task, parts.settings, parts.monitor.pose_of(task.object_id))
+    error = tap_counts.tap_limit_error(task, parts.settings, parts.monitor.pose_of(task.object_id))
     if error is not None:
         yield failed(*error)
-    elif parts.monitor.missing(now) is not None:
+    elif parts.monitor.why_not_ready(now) is not None:
         yield from wait_again(at, parts, now)
     else:
         yield from _plan(look, decision, task.before(seen), parts, now)
@@ -137,11 +137,11 @@ def answered(
     if not is_confirmed:
         task.skip(shot.strike)
         return accepted, drop_proposal(at, "it was skipped", parts, now)
-    missing, needed = monitor.missing(now), parts.settings.frames_needed
+    missing, needed = monitor.why_not_ready(now), parts.settings.frames_needed
     if missing is not None:
         steps = wait_again(at, parts, now)
     elif not task.observed(monitor, at.look.since, needed, now):
-        missing = monitor.blind(None, needed, now)
+        missing = monitor.why_not_observed(None, needed, now)
         why = "the object has not been observed at rest in enough images"
         steps = drop_proposal(at, why, parts, now)
     else:
@@ -166,7 +166,8 @@ def drop_proposal(at: Confirming, why: str, parts: PlannerParts, now: Now) -> St
 def command(task: Task, shot: Shot, parts: PlannerParts, now: Now) -> Steps:
     """Command one tap."""
     settings = parts.settings
-    yield from parts.resumption.keep(task, True, now)  # first, so that no crash loses the tap
+    # First, so that no crash loses the tap.
+    yield from parts.resumption.keep(task, now, is_tapping=True)
     allowance = settings.place_deadline + settings.fire_deadline
     yield parts.sender.tap(shot, allowance, parts.goals.cell.strike_height, now)
     if parts.monitor.has_arm:

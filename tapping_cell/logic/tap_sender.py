@@ -62,14 +62,14 @@ class TapSender:
 
     def withdraw_orphan(self, now: Now) -> Iterator[Publish]:
         """Withdraw a tap of a previous planner that the arm still serves, if any."""
-        orphan = self._monitor.left_behind()
+        orphan = self._monitor.orphaned_tap_id()
         if orphan:
             yield from self.withdraw(orphan, now)
 
     def repeat_withdrawal(self, now: Now) -> Iterator[Publish]:
         """Publish the last withdrawal again if it was lost: the arm still serves the tap."""
         tap_id = self._withdrawn_id
-        serving = tap_id and self._monitor.left_behind() == tap_id
+        serving = tap_id and self._monitor.orphaned_tap_id() == tap_id
         due = now.steady > self._withdrawn_at + WITHDRAW_AGAIN_S
         if serving and due and not self._monitor.silent("arm", now):
             self._withdrawn_at = now.steady

@@ -94,7 +94,7 @@ def not_observed(at: Looking, parts: PlannerParts, now: Now) -> Steps:
         yield from _move_arm_aside(at, parts, now)
     elif at.is_late(now.steady):
         needed, waited = settings.frames_needed, settings.observe_deadline
-        yield failed(*monitor.blind(waited, needed, now, at.moved_aside))
+        yield failed(*monitor.why_not_observed(waited, needed, now, at.moved_aside))
 
 
 def _move_arm_aside(at: Looking, parts: PlannerParts, now: Now) -> Steps:
@@ -139,7 +139,7 @@ def try_another_way(at: Placing, code: int, sentence: str, parts: PlannerParts, 
     parts.confirmations.withdraw(sentence)
     # The arm will not be in position for this tap, so the tapper cannot fire it.
     shot.outcome = shot.outcome or TapperState.NOT_FIRED
-    if tap_counts.exhausts(task, shot, parts.settings, is_late=False):
+    if tap_counts.count_unfired(task, shot, parts.settings, is_late=False):
         yield failed(code, sentence)
         return
     yield Log(LogLevel.WARNING, f"tap {shot.number}: {sentence}; planning another tap")
@@ -166,7 +166,7 @@ def take_outcome(at: Placing | Firing, parts: PlannerParts, now: Now) -> Steps:
             # tap.
             task.skip(shot.strike)
         is_late = tapper.error_code in LATE
-        if tap_counts.exhausts(task, shot, parts.settings, is_late=is_late):
+        if tap_counts.count_unfired(task, shot, parts.settings, is_late=is_late):
             yield failed(code, sentence)
             return
     else:
@@ -197,9 +197,9 @@ def _settle(at: Placing | Firing, parts: PlannerParts, now: Now) -> Settling:
 def check_cell(at: Working, code: int, sentence: str, parts: PlannerParts, now: Now) -> Steps:
     """End a wait for arm or tapper if the connection to a driver is lost, if the arm has lost its
     reference, or if the deadline has passed."""
-    if parts.monitor.lost(now):
+    if parts.monitor.is_disconnected(now):
         yield from wait_again(at, parts, now)
-    elif (unhomed := parts.monitor.unhomed()) is not None:
+    elif (unhomed := parts.monitor.homing_error()) is not None:
         yield failed(*unhomed)
     elif at.is_late(now.steady):
         device = "arm" if parts.monitor.has_arm else "tapper"

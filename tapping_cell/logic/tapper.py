@@ -168,7 +168,7 @@ class TapperLogic(DeviceLogic[State, Event]):
             self._carry_out(self._cycle.proceed(self._serving, now))
         elif topic == "plan_state":
             self._peers.on_plan_state(message, now)
-            gone = self._peers.given_up()
+            gone = self._peers.abandonment_error()
             if gone is not None:
                 self._give_up(gone)
         elif topic == "object_states":
@@ -235,13 +235,13 @@ class TapperLogic(DeviceLogic[State, Event]):
             return reason
         if not self._enabled(now):
             return enabling.RELEASED
-        if (reason := self._peers.clocks_differ(now)) is not None:
+        if (reason := self._peers.clock_error(now)) is not None:
             return reason
-        if (reason := self._peers.unknown_object(command.object_id)) is not None:
+        if (reason := self._peers.object_error(command.object_id)) is not None:
             return reason
         if tap_commands.expired(command, now):
-            return ErrorCode.TAPPER_COMMAND_EXPIRED, tap_commands.overdue(command, now)
-        if (reason := self._board.out_of_range(tapper, command.striker_speed)) is not None:
+            return ErrorCode.TAPPER_COMMAND_EXPIRED, tap_commands.expiry_message(command, now)
+        if (reason := self._board.speed_error(tapper, command.striker_speed)) is not None:
             return reason
         return self._received.refusal(command, self._board.used, now)
 
@@ -319,10 +319,10 @@ class TapperLogic(DeviceLogic[State, Event]):
             elif name == "clear":
                 self._board_ready(result.reply, Event.CLEARED)
             elif name == "prove":
-                self._see_mounts()
+                self._check_mounts()
             elif name == "return":
-                self._see_return(result.reply)
-                self._see_stop(result.reply)
+                self._on_return_ended(result.reply)
+                self._check_stop(result.reply)
 
     def _fired(self, end: FireEnd, now: Now) -> None:
         """Handle the end of a shot: its outcome, then the state of the board."""
@@ -340,7 +340,7 @@ class TapperLogic(DeviceLogic[State, Event]):
             self._error = (ErrorCode.TAPPER_OUTCOME_UNKNOWN, end.sentence)
         if end.fault is not None:
             error = self._error
-            self._meet(end.fault)
+            self._fail_with(end.fault)
             if error[0]:
                 self._error = error
             return
@@ -351,7 +351,7 @@ class TapperLogic(DeviceLogic[State, Event]):
             self._run("return", tapper_jobs.wait_for_return)
         else:
             self._machine.move(Event.ENDED, S.SAFE)
-        self._see_stop(end.status.reply)
+        self._check_stop(end.status.reply)
 
     def _job_failed(self, name: str, fault: HardwareFault, now: Now) -> None:
         if name == "connect":
@@ -378,9 +378,9 @@ class TapperLogic(DeviceLogic[State, Event]):
             self._fail_to(S.DISCONNECTED)
             self._set_error(of_tapper(fault), fault.sentence)
             return
-        self._meet(fault)
+        self._fail_with(fault)
 
-    def _meet(self, fault: HardwareFault) -> None:
+    def _fail_with(self, fault: HardwareFault) -> None:
         """Change to the state that corresponds to a fault, and report the fault."""
         if fault.reason in LOST_BOARD:
             self._fail_to(S.DISCONNECTED)
@@ -388,7 +388,7 @@ class TapperLogic(DeviceLogic[State, Event]):
             self._fail_to(S.STOPPED if fault.reason in STOPPED_BOARD else S.FAULT)
         self._set_error(of_tapper(fault), fault.sentence)
 
-    def _overtaken(self, event: JobEnded, now: Now) -> None:
+    def _job_superseded(self, event: JobEnded, now: Now) -> None:
         # The fire job may end after a stop, a fault or a reconnection. The outcome that it returns
         # is still valid, also if the node was closed meanwhile and reported UNKNOWN.
         if isinstance(event.result, FireEnd) and event.result.shot == self._last.tap_id:
@@ -402,14 +402,14 @@ class TapperLogic(DeviceLogic[State, Event]):
     def _read_done(self, result: Any, now: Now) -> None:
         self._take_in(result)
         self._on_switch(result.reply, now)
-        self._see_stop(result.reply)
+        self._check_stop(result.reply)
         if self.state is S.SAFE:
-            self._see_mounts()
+            self._check_mounts()
         elif isinstance(self._serving, Charged) and result.reply.state is not BoardState.CHARGED:
             why = why_not_charged(result.reply)
             self._carry_out(self._cycle.discharge(self._serving, why))
 
-    def _see_return(self, reply: Reply) -> None:
+    def _on_return_ended(self, reply: Reply) -> None:
         """Handle the end of the wait for a released striker: it has returned or is overdue."""
         if reply.state is BoardState.SAFE:
             self._machine.move(Event.RETURNED, S.SAFE)
@@ -423,7 +423,7 @@ class TapperLogic(DeviceLogic[State, Event]):
                 " the fault",
             )
 
-    def _see_mounts(self) -> None:
+    def _check_mounts(self) -> None:
         """While at rest, report an error of the mounts, or clear the error when its cause is
         gone."""
         if not self._board.is_fixed:
@@ -439,7 +439,7 @@ class TapperLogic(DeviceLogic[State, Event]):
         self._enabling.on_switch(reply.enabled, now)
         self._watch_enabling(now)
 
-    def _see_stop(self, reply: Reply) -> None:
+    def _check_stop(self, reply: Reply) -> None:
         """Handle a stop button that was pressed at the cell."""
         if reply.stop_latched:
             self._stop_tap()
@@ -499,7 +499,7 @@ class TapperLogic(DeviceLogic[State, Event]):
         if self._last.awaits_outcome() and self._last.fire_job is None:
             self._last.outcome = TapperState.NOT_FIRED
         self._serving = None
-        self._overtake()
+        self._supersede_job()
 
     def _stop(self, now: Now) -> None:
         self._stop_tap()
@@ -512,7 +512,7 @@ class TapperLogic(DeviceLogic[State, Event]):
             self._fail_to(S.FAULT)
 
     def _fail_to(self, target: State) -> None:
-        self._overtake()
+        self._supersede_job()
         self._machine.move(Event.FAILED, target)
 
     def _healthy(self) -> bool:

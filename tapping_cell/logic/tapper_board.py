@@ -62,7 +62,7 @@ class TapperBoard:
             permit.flight(self.strokes[tapper], command.striker_speed),
         )
 
-    def out_of_range(self, tapper: str, speed: float) -> CodedError | None:
+    def speed_error(self, tapper: str, speed: float) -> CodedError | None:
         """Return why a striker speed is refused, or None if it is allowed."""
         curve = self.curves[tapper]
         if not math.isfinite(speed) or curve.slowest <= speed <= curve.fastest:

@@ -145,7 +145,7 @@ class TapperCycle:
             yield from self.discharge(at, (ErrorCode.ARM_SILENT, sentence))
 
     def _charge_when_ready(self, at: Waiting, now: Now) -> Steps:
-        if (differ := self._peers.clocks_differ(now)) is not None:
+        if (differ := self._peers.clock_error(now)) is not None:
             yield from self.give_up(at, differ)  # waiting would not remove the difference
             return
         if self._check_charging(now) is not None:

@@ -144,7 +144,7 @@ class TapperPeers:
         self._clocks = {"arm": PeerClock(), "planner": PeerClock(), "camera": PeerClock()}
         self._plan_received: float | None = None
         self._phase = PlanState.IDLE
-        self._planners_tap = False
+        self._planner_commanded_tap = False
         self._picture_at: float | None = None
         self._own = self._object = ""
         self._height = 0.0
@@ -166,7 +166,7 @@ class TapperPeers:
         ``height``: commanded height of the tip for the strike, m. Later messages of the planner
         show whether the planner commanded this tap.
         """
-        self._planners_tap = False
+        self._planner_commanded_tap = False
         self._object, self._height = object_id, height
 
     def on_arm_state(self, message: ArmState, now: Now) -> None:
@@ -180,7 +180,7 @@ class TapperPeers:
         self._phase = message.state
         self._plan_received = self._clocks["planner"].to_steady(message.header.stamp, now)
         if message.state in TAPPING:
-            self._planners_tap = True
+            self._planner_commanded_tap = True
 
     def on_object_states(self, message: ObjectStates, now: Now) -> None:
         """Process ``object_states``; the age of each state is determined from its own stamp."""
@@ -189,9 +189,9 @@ class TapperPeers:
         for state in message.objects:
             self._names.add(state.object_id)
             if state.error_code not in BLIND:
-                self._see(state, message.header.stamp, now)
+                self._on_object_state(state, message.header.stamp, now)
 
-    def _see(self, state: ObjectState, taken: Time, now: Now) -> None:
+    def _on_object_state(self, state: ObjectState, taken: Time, now: Now) -> None:
         """Process an object's state; ``taken``: stamp of the last image."""
         name, camera = state.object_id, self._clocks["camera"]
         camera.receive(state.header.stamp, now)
@@ -207,7 +207,7 @@ class TapperPeers:
         elif state.hidden_by_arm and name in self._seen:
             self._seen[name].hide_by_arm(seen_at)
 
-    def unknown_object(self, name: str) -> CodedError | None:
+    def object_error(self, name: str) -> CodedError | None:
         """Return an error if the camera reports objects but not the one with this name, or None.
         An empty name means the cell's own object."""
         if not name or not self._names or name in self._names:
@@ -238,9 +238,9 @@ class TapperPeers:
         hidden = reason is not None and reason[0] == ErrorCode.OBJECT_NOT_SEEN
         return None if hidden else reason  # on its way, the arm may hide the object
 
-    def given_up(self) -> CodedError | None:
+    def abandonment_error(self) -> CodedError | None:
         """Return an error if the planner that commanded the tap no longer waits for it."""
-        if self._planners_tap and self._phase not in TAPPING:
+        if self._planner_commanded_tap and self._phase not in TAPPING:
             return (
                 ErrorCode.NOT_READY,
                 "the planner that commanded the tap no longer waits for it; it was restarted or"
@@ -270,7 +270,7 @@ class TapperPeers:
         """
         if self._mounts is not None:
             return self._mounts.check() or self._check_others(planned, now)
-        if not self._lowers(tap_id, strike, now):
+        if not self._is_lowering(tap_id, strike, now):
             reason = self._check_arm(tap_id, strike, now)
             if reason is not None:
                 return reason
@@ -278,14 +278,14 @@ class TapperPeers:
 
     def _check_others(self, planned: Pose, now: Now) -> CodedError | None:
         return (
-            self.given_up()
-            or self.clocks_differ(now)
-            or self._missing()
+            self.abandonment_error()
+            or self.clock_error(now)
+            or self._camera_missing()
             or self._silence(now)
             or self._disturbance(planned, now)
         )
 
-    def _lowers(self, tap_id: int, strike: Pose, now: Now) -> bool:
+    def _is_lowering(self, tap_id: int, strike: Pose, now: Now) -> bool:
         """Return whether the arm has recently reported that it moves down to the strike pose."""
         arm = self._arm
         if arm is None or arm.state != ArmState.MOVING or arm.tap_id != tap_id or not arm.homed:
@@ -330,7 +330,7 @@ class TapperPeers:
             )
         return None
 
-    def clocks_differ(self, now: Now) -> CodedError | None:
+    def clock_error(self, now: Now) -> CodedError | None:
         """Return why the clocks of the cell's computers differ too much for a tap, or None."""
         skewed = skewed_clock(self._clocks, now)
         if skewed is None:
@@ -343,7 +343,7 @@ class TapperPeers:
             " synchronise the clocks",
         )
 
-    def _missing(self) -> CodedError | None:
+    def _camera_missing(self) -> CodedError | None:
         if self._limits.needs_camera and self._picture_at is None:
             return (
                 ErrorCode.CAMERA_SILENT,
@@ -354,11 +354,11 @@ class TapperPeers:
 
     def _silence(self, now: Now) -> CodedError | None:
         silence = self._limits.silence
-        of_planner = silence if self._planners_tap else max(silence, IDLE_LIMIT_S)
+        planner_limit = silence if self._planner_commanded_tap else max(silence, IDLE_LIMIT_S)
         for received_at, limit, code, sentence in (
             (
                 self._plan_received,
-                of_planner,
+                planner_limit,
                 ErrorCode.NOT_READY,
                 "the planner has sent no message for {:.2f} s (limit {:.2f} s); check tap_planner",
             ),

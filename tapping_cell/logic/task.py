@@ -295,9 +295,9 @@ class Task:
         """Choose a tap other than this one, if possible, until the next tap is fired."""
         self.session.skip(strike)
 
-    def lose(self, shot: Shot) -> None:
-        """Record the tap during which the goal ended if it was fired or may have been fired, and if
-        it has no record yet."""
+    def record_unobserved(self, shot: Shot) -> None:
+        """Record the tap during which the goal ended, without a measured displacement, if it may
+        have been fired and has no record yet."""
         recorded = any(record.tap_id == shot.tap_id for record in self.records)
         if shot.outcome in (TapperState.FIRED, TapperState.UNKNOWN) and not recorded:
             self.records.append(shot.record(None, self.session.gains))

@@ -116,6 +116,7 @@ def uncovering(
         places = _hidden_places(cell, geometry, camera, current)
         bars = _bars(cell, geometry, tried)
         hidden = len(places) - np.sum(_sees(cell, camera, bars, places), axis=1)
+        # A pose from which the camera lacks reference markers is the last choice.
         hidden = hidden + np.where(_sees_markers(cell, camera, bars), 0, len(places) + 1)
         least = hidden == hidden.min()
         if least[0]:

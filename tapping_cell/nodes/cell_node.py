@@ -198,7 +198,7 @@ class CellNode(LifecycleNode, Generic[Parameters]):
 
             @wraps(callback)  # rclpy reads from the signature whether information is passed too
             def process(message: Any, *information: Any) -> None:
-                frame_names.accept_table(message, prefix)
+                frame_names.remove_table_prefix(message, prefix)
                 callback(message, *information)
 
         return super().create_subscription(msg_type, topic, process, profile, **options)

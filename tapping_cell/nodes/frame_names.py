@@ -19,7 +19,7 @@ def add_prefix(message: Any, prefix: str) -> None:
         _rename(message, lambda name: prefix + name if name in FRAMES else name)
 
 
-def accept_table(message: Any, prefix: str) -> None:
+def remove_table_prefix(message: Any, prefix: str) -> None:
     """Replace the prefixed name of ``table`` in a ROS message by the name within the cell. Other
     frames keep their names, by which they are looked up on ``/tf``."""
     if prefix:

@@ -486,7 +486,7 @@ class _Later:
         self._response = response
         self._finish()
 
-    def addressed(self, header: Any) -> None:
+    def set_header(self, header: Any) -> None:
         self._header = header
         self._finish()
 
@@ -511,4 +511,5 @@ def create_deferred_service(
 
     service = cast(_Sends, node.create_service(kind, name, callback))
     send = service.send_response
-    service.send_response = lambda later, header: later.addressed(header)
+    # The executor passes what the callback has returned, and the header of the request.
+    service.send_response = lambda later, header: later.set_header(header)

@@ -21,6 +21,7 @@ HEADINGS = 24
 SHARES_OF_FIRST = np.array([1.0, 0.7, 0.5, 0.3, 0.15])
 SHARES_OF_LARGEST = np.array([1.0, 0.6, 0.35, 0.2, 0.1, 0.05])
 TURNS = (1.0, 0.5, 0.0, -0.5, -1.0)
+"""Rotations tried, as shares of the largest; in place of 1, the residual if it is smaller."""
 CHUNK = 160
 
 LEAST = 80
@@ -62,8 +63,8 @@ def alternative_taps(
     striker can make. Each slower check is applied only to the candidates that passed the faster
     checks.
     """
-    number = gains.value
-    made = candidate_taps(pose, goal, first, number, planner, paths.length, tap)
+    learnt = gains.value
+    made = candidate_taps(pose, goal, first, learnt, planner, paths.length, tap)
     order = np.argsort(made.cost, kind="stable")
     order = order[np.isfinite(made.cost[order])]
     waiting, waiting_cost = order[:0], made.cost[:0]
@@ -79,7 +80,7 @@ def alternative_taps(
         part = np.concatenate(parts)
         if possible is not None:
             part = part[possible(made.commanded[part])]
-        cost = made.cost[part] + indirect(made.after[part], goal, number, planner, strikeable)
+        cost = made.cost[part] + indirect(made.after[part], goal, learnt, planner, strikeable)
         if visited is not None:
             cost += visited.extra(made.after[part], cost)
         waiting = np.concatenate([waiting, part])
@@ -118,18 +119,18 @@ def candidate_taps(
     pose: Array,
     goal: Array,
     first: Array,
-    number: Array,
+    learnt: Array,
     planner: Planner,
     path: Callable[[Array], Array],
     tap: Tap,
 ) -> Candidates:
     """Return the candidates for ``alternative_taps``, for poses, goals and first choices (..., 3).
 
-    number: ``Gains.value``, (..., 6). path: function that returns the lengths, in metres, of the
+    learnt: ``Gains.value``, (..., 6). path: function that returns the lengths, in metres, of the
     paths from m points per pose, (..., m, 2), to the goal.
     """
     settings = planner.settings
-    length = np.hypot(first[..., 0], first[..., 1]) * number[..., 0]
+    length = np.hypot(first[..., 0], first[..., 1]) * learnt[..., 0]
     shares = np.broadcast_to(SHARES_OF_LARGEST, (*length.shape, len(SHARES_OF_LARGEST)))
     sizes = np.clip(
         np.concatenate(
@@ -146,19 +147,20 @@ def candidate_taps(
     flat = (*length.shape, -1)
     heading = np.broadcast_to(headings[..., :, None, None], shape).reshape(flat)
     size = np.broadcast_to(sizes[..., None, :, None], shape).reshape(flat)
-    share = np.broadcast_to(np.array(TURNS), shape).reshape(flat)
-    known, start = number[..., None, :], pose[..., None, :]
+    turn_share = np.broadcast_to(np.array(TURNS), shape).reshape(flat)
+    each, start = learnt[..., None, :], pose[..., None, :]
     most = settings.cone_slope * size
-    left = wrap_angle(goal[..., 2] - pose[..., 2])[..., None] / known[..., 1]
-    turn = np.where(share == 1.0, np.clip(left, -most, most), share * most)
-    commanded = command_of(known, size, turn, heading, start[..., 2], settings.cone_slope)
-    after = start + prediction_of(known, commanded, start[..., 2])
+    left = wrap_angle(goal[..., 2] - pose[..., 2])[..., None] / each[..., 1]
+    turn = np.where(turn_share == 1.0, np.clip(left, -most, most), turn_share * most)
+    commanded = command_of(each, size, turn, heading, start[..., 2], settings.cone_slope)
+    after = start + prediction_of(each, commanded, start[..., 2])
     way = path(after[..., :2])
     remaining = plan_rotation(
-        wrap_angle(goal[..., None, 2] - after[..., 2]), known[..., 1], settings.stopping.rotation
+        wrap_angle(goal[..., None, 2] - after[..., 2]), each[..., 1], settings.stopping.rotation
     )
     reachable = np.isfinite(way)
     taps = planner.taps_to_go(np.where(reachable, way, 0.0), remaining)
+    # Of equally good taps, prefer the shortest.
     cost = np.where(reachable, taps + 0.05 * size / settings.largest_distance, np.inf)
     return Candidates(commanded, after, cost)
 
@@ -175,7 +177,7 @@ def _through_edges(tap: Tap, body: Polygon, orientation: Array) -> Array:
 def indirect(
     after: Array,
     goal: Array,
-    number: Array,
+    learnt: Array,
     planner: Planner,
     strikeable: Strikeable,
 ) -> Array:
@@ -184,16 +186,16 @@ def indirect(
 
     ``strikeable`` applies constraints that a planning method ignores: the edges of a polygon
     transmit only impulses inside the friction cone, and other objects may obstruct the arm and the
-    tool. ``number``: ``Gains.value``.
+    tool. ``learnt``: ``Gains.value``.
     """
     left = goal - after
     distance = np.hypot(left[..., 0], left[..., 1])
-    turn = wrap_angle(left[..., 2]) / number[..., 1]
+    turn = wrap_angle(left[..., 2]) / learnt[..., 1]
     heading = np.arctan2(left[..., 1], left[..., 0])
     settings = planner.settings
     near = (distance >= settings.smallest_distance) & (distance <= settings.largest_distance)
     commanded = command_of(
-        number, np.where(near, distance, 1.0), turn, heading, after[..., 2], settings.cone_slope
+        learnt, np.where(near, distance, 1.0), turn, heading, after[..., 2], settings.cone_slope
     )
     direct = np.zeros(near.shape, dtype=bool)
     direct[near] = strikeable(after[near], commanded[near])

@@ -147,28 +147,28 @@ class Belief:
         known = np.isfinite(y)
         y = np.where(known, y, 0.0)[..., None]
         weight, mean, covariance = self._with_fresh(prior)
-        relative, least = np.asarray(share)[..., None], np.asarray(floor)[..., None]
+        relative, absolute = np.asarray(share)[..., None], np.asarray(floor)[..., None]
         expected = np.einsum("...hi,...i->...h", mean, h)
-        reach = np.einsum("...hij,...j->...hi", covariance, h)
-        spread = np.einsum("...hi,...i->...h", reach, h)
+        cross = np.einsum("...hij,...j->...hi", covariance, h)
+        variance = np.einsum("...hi,...i->...h", cross, h)
         # The relative noise refers to the true value, which is approximated by the updated
         # estimate.
-        noise = (relative * expected) ** 2 + least**2
-        better = expected + spread / (spread + noise + 1e-300) * (y - expected)
-        noise = (relative * better) ** 2 + least**2 + 1e-18
-        total = spread + noise
+        noise = (relative * expected) ** 2 + absolute**2
+        updated = expected + variance / (variance + noise + 1e-300) * (y - expected)
+        noise = (relative * updated) ** 2 + absolute**2 + 1e-18
+        total = variance + noise
         error = y - expected
-        sound = (1.0 - BUMP) * np.exp(-0.5 * error**2 / total) / np.sqrt(2.0 * np.pi * total)
-        likelihood = sound + BUMP / prior.span
-        taken = np.where(known[..., None], sound / likelihood, 0.0)
-        gain = reach / total[..., None]
+        valid = (1.0 - BUMP) * np.exp(-0.5 * error**2 / total) / np.sqrt(2.0 * np.pi * total)
+        likelihood = valid + BUMP / prior.span
+        p_valid = np.where(known[..., None], valid / likelihood, 0.0)
+        gain = cross / total[..., None]
         outer = gain[..., :, None] * gain[..., None, :]
-        mean = mean + (taken * error)[..., None] * gain
-        covariance = covariance - (taken * total)[..., None, None] * outer
-        covariance = covariance + (taken * (1.0 - taken) * error**2)[..., None, None] * outer
+        mean = mean + (p_valid * error)[..., None] * gain
+        covariance = covariance - (p_valid * total)[..., None, None] * outer
+        covariance = covariance + (p_valid * (1.0 - p_valid) * error**2)[..., None, None] * outer
         weight = weight * np.where(known[..., None], likelihood, 1.0)
         weight = np.maximum(weight / weight.sum(axis=-1, keepdims=True), MIN_WEIGHT)
-        probability = (weight * taken).sum(axis=-1) / weight.sum(axis=-1)
+        probability = (weight * p_valid).sum(axis=-1) / weight.sum(axis=-1)
         return _settled(weight, mean, covariance), np.where(known, probability, 0.0)
 
     def _with_fresh(self, prior: Prior) -> tuple[Array, Array, Array]:

@@ -188,12 +188,12 @@ class _Problem:
         self.grid = Grid(along, turn, sizes)
         self.states = self.grid.states().reshape(-1, 3)
         places = self.states + goal
-        live = area.clearance(places[:, :2]) >= -OUTER
-        live &= space.workspace.object_clearance(places[:, :2]) >= space.object_radius
-        rows = np.flatnonzero(live)
+        allowed = area.clearance(places[:, :2]) >= -OUTER
+        allowed &= space.workspace.object_clearance(places[:, :2]) >= space.object_radius
+        rows = np.flatnonzero(allowed)
         lines = _lines_at(space, places, rows, self.grid.shape)
-        some = np.any(lines.usable, axis=1)
-        self.rows, lines = rows[some], lines.of(np.flatnonzero(some))
+        has_taps = np.any(lines.usable, axis=1)
+        self.rows, lines = rows[has_taps], lines.of(np.flatnonzero(has_taps))
         self.error = self.states[self.rows].astype(np.float32)
         self.heading = lines.heading.astype(np.float32)
         self.slope = lines.slope.astype(np.float32)
@@ -206,7 +206,7 @@ class _Problem:
         self.scatter = settings.scatter.at_least(MIN_SCATTER)
         self.points = scatter_points(points).astype(np.float32)
         self._make_axes(far + 2.0 * settings.largest_distance)
-        self._row = np.linspace(0.0, 1.0, lengths, dtype=np.float32)
+        self._exponents = np.linspace(0.0, 1.0, lengths, dtype=np.float32)
         self._per_tapper = lengths + 2
         count = lines.usable.shape[1] * self._per_tapper
         self.kept = np.broadcast_to(np.arange(count), (self.rows.size, count))
@@ -215,12 +215,12 @@ class _Problem:
 
     def _make_axes(self, most: float) -> None:
         wide, turn = (4 * size + 1 for size in self.grid.size)
-        self.entries = wide * wide * turn
+        self._beyond = wide * wide * turn
         grid = self.grid
         self._axes = (
-            _Axis(grid.along, grid.size[0], wide * turn, self.entries, most),
-            _Axis(grid.along, grid.size[0], turn, self.entries, most),
-            _Axis(grid.turn, grid.size[1], 1, self.entries, math.pi * 1.01),
+            _Axis(grid.along, grid.size[0], wide * turn, self._beyond, most),
+            _Axis(grid.along, grid.size[0], turn, self._beyond, most),
+            _Axis(grid.turn, grid.size[1], 1, self._beyond, math.pi * 1.01),
         )
 
     def start(self, coarse: Solution | None) -> Array:
@@ -240,11 +240,11 @@ class _Problem:
         """Return the lengths of all taps of the given states, (n, tappers, lengths + 2), m."""
         least, most = self.least[rows, :, None], self.most[rows, :, None]
         heading, slope, error = self.heading[rows], self.slope[rows], self.error[rows]
-        row = least * (most / least) ** self._row
+        progression = least * (most / least) ** self._exponents
         nearest = -(error[:, 0, None] * np.cos(heading) + error[:, 1, None] * np.sin(heading))
         turned = -error[:, 2, None] / np.where(np.abs(slope) < 1e-3, np.float32(np.inf), slope)
         own = np.stack([nearest, turned], axis=-1)
-        return np.concatenate([row, np.clip(own, least, most)], axis=-1)
+        return np.concatenate([progression, np.clip(own, least, most)], axis=-1)
 
     def _taps(self, rows: slice) -> tuple[NDArray[np.intp], Singles]:
         """Return the tapper and the length of the compared taps of the given states, (n, kept)
@@ -254,10 +254,10 @@ class _Problem:
         flat = lengths.reshape(lengths.shape[0], -1)
         return kept // self._per_tapper, np.take_along_axis(flat, kept, axis=1)
 
-    def _leads_to(
+    def _end_entries(
         self, rows: slice, tapper: NDArray[np.intp], length: Singles, points: Singles
     ) -> Indices:
-        """Return the table indices, (n, k, p), of the states after taps (n, k) of the given
+        """Return the indices in ``_table``, (n, k, p), of the states after taps (n, k) of the given
         states."""
         heading = np.take_along_axis(self.heading[rows], tapper, axis=1)
         slope = np.take_along_axis(self.slope[rows], tapper, axis=1)
@@ -265,10 +265,10 @@ class _Problem:
         entry = self._axes[0].index(x)
         entry += self._axes[1].index(y)
         entry += self._axes[2].index(turn)
-        np.minimum(entry, self.entries, out=entry)
+        np.minimum(entry, self._beyond, out=entry)
         inside = (x * x + y * y <= self.box[0] ** 2) & (np.abs(turn) <= self.box[1])
-        entry[inside] = self.entries + 1
-        entry[~np.take_along_axis(self.usable[rows], tapper, axis=1)] = self.entries + 2
+        entry[inside] = self._beyond + 1  # the entries of ``_table`` after the grid
+        entry[~np.take_along_axis(self.usable[rows], tapper, axis=1)] = self._beyond + 2
         return entry
 
     def _cost(self, rows: slice, tapper: NDArray[np.intp], length: Singles) -> Singles | float:
@@ -325,7 +325,7 @@ class _Problem:
         few = self.points[: len(self.points) // 2]
         for rows in self._chunks(count * few.shape[0]):
             taps = self._taps(rows)
-            mean = table[self._leads_to(rows, *taps, few)].mean(axis=-1)
+            mean = table[self._end_entries(rows, *taps, few)].mean(axis=-1)
             mean += self._cost(rows, *taps)
             kept[rows] = np.argpartition(mean, MAX_KEPT, axis=1)[:, :MAX_KEPT]
         self.kept = kept
@@ -342,27 +342,29 @@ class _Problem:
         for rows in self._chunks(count * len(self.points)):
             tapper, lengths = self._taps(rows)
             if first:
-                self._after[rows] = self._leads_to(rows, tapper, lengths, self.points)
+                self._after[rows] = self._end_entries(rows, tapper, lengths, self.points)
             mean = table[self._after[rows]].mean(axis=-1)
             mean += self._cost(rows, tapper, lengths)
             best = np.argmin(mean, axis=1)[:, None]
-            which = np.take_along_axis(tapper, best, axis=1)
-            long = np.take_along_axis(lengths, best, axis=1)
-            around = long * np.array((1.0, *AROUND), dtype=np.float32)
-            low, high = (np.take_along_axis(end[rows], which, 1) for end in (self.least, self.most))
-            around = np.clip(around, low, high)
-            beside = np.broadcast_to(which, around.shape)
-            mean = table[self._leads_to(rows, beside, around, self.points)].mean(axis=-1)
-            mean += self._cost(rows, beside, around)
+            best_tapper = np.take_along_axis(tapper, best, axis=1)
+            best_length = np.take_along_axis(lengths, best, axis=1)
+            nearby = best_length * np.array((1.0, *AROUND), dtype=np.float32)
+            low, high = (
+                np.take_along_axis(end[rows], best_tapper, 1) for end in (self.least, self.most)
+            )
+            nearby = np.clip(nearby, low, high)
+            same_tapper = np.broadcast_to(best_tapper, nearby.shape)
+            mean = table[self._end_entries(rows, same_tapper, nearby, self.points)].mean(axis=-1)
+            mean += self._cost(rows, same_tapper, nearby)
             best = np.argmin(mean, axis=1)[:, None]
-            chosen[rows] = which[:, 0]
-            length[rows] = np.take_along_axis(around, best, axis=1)[:, 0]
+            chosen[rows] = best_tapper[:, 0]
+            length[rows] = np.take_along_axis(nearby, best, axis=1)[:, 0]
         return chosen, length
 
     def evaluate(self, value: Array, tapper: NDArray[np.intp], length: Singles) -> Array:
         """Return W of a fixed policy, iterated from the initial ``value``."""
-        every = np.arange(self.rows.size)
-        heading, slope = self.heading[every, tapper], self.slope[every, tapper]
+        states = np.arange(self.rows.size)
+        heading, slope = self.heading[states, tapper], self.slope[states, tapper]
         after = self._ends(self.error, heading, slope, length, self.points)
         corners, weights, beyond = self._corners(*after)
         share = 1.0 / len(self.points)
@@ -371,18 +373,18 @@ class _Problem:
             (
                 (np.float32(share) * weights).reshape(-1).astype(float),
                 corners.reshape(-1),
-                np.arange(0, every.size * count + 1, count, dtype=np.int32),
+                np.arange(0, states.size * count + 1, count, dtype=np.int32),
             ),
-            shape=(every.size, value.size),
+            shape=(states.size, value.size),
         )
         cost = self._cost(slice(None), tapper[:, None], length[:, None])
-        fixed = np.ravel(cost) + share * LOST * beyond.sum(axis=1)
-        made = value.copy()
+        constant = np.ravel(cost) + share * LOST * beyond.sum(axis=1)
+        result = value.copy()
         for _ in range(SWEEPS):
             if self._interrupted():
                 raise Abandoned
-            made[self.rows] = np.minimum(fixed + matrix @ made, LOST)
-        return made
+            result[self.rows] = np.minimum(constant + matrix @ result, LOST)
+        return result
 
     def _corners(
         self, x: Singles, y: Singles, turn: Singles

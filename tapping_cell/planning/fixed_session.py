@@ -216,7 +216,7 @@ class FixedTapperSession(GoalSession):
             )
         index, commanded, length, expected = chosen
         plan = self._space.plan(index, pose, length)
-        return self._made(pose, left, commanded, plan, expected=expected)
+        return self._make_strike(pose, left, commanded, plan, expected=expected)
 
     def _best(
         self, pose: Array, left: Array, lines: Lines, usable: list[int]

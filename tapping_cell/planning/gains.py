@@ -275,7 +275,8 @@ class Gains:
 
         Args:
             commanded: commanded dx, dy (m) and rotation (rad) in `table`, (..., 3).
-            measured: measured displacement, (..., 3). A row that is not finite is ignored.
+            measured: measured displacement, (..., 3). A row that is not finite leaves the
+                beliefs unchanged and counts as an outlier.
             orientation: orientation of the object before the tap, rad, (...,).
             scatter: scatter of a tap, one standard deviation.
             camera: standard deviation of one observation; a measured displacement is the
@@ -289,64 +290,65 @@ class Gains:
         usable = usable & (asked > MIN_MOVE)
         # Standard deviations of the parts of a measured displacement's error that do not depend on
         # the size of the tap.
-        place = math.hypot(math.sqrt(2.0) * camera.position, scatter.position_floor)
-        angle = math.hypot(math.sqrt(2.0) * camera.angle, scatter.angle_floor)
-        least = np.where(usable, np.maximum(moved, max(place, MIN_MOVE)), 1.0)
+        position_std = math.hypot(math.sqrt(2.0) * camera.position, scatter.position_floor)
+        angle_std = math.hypot(math.sqrt(2.0) * camera.angle, scatter.angle_floor)
+        travel = np.where(usable, np.maximum(moved, max(position_std, MIN_MOVE)), 1.0)
         size = np.where(usable, asked, 1.0)
         slope = np.where(usable, command[..., 2], 0.0) / size
-        heading = np.where(usable, np.arctan2(command[..., 1], command[..., 0]), 0.0)
+        commanded_heading = np.where(usable, np.arctan2(command[..., 1], command[..., 0]), 0.0)
         measured_heading = np.where(usable, np.arctan2(seen[..., 1], seen[..., 0]), 0.0)
-        blank = np.where(usable, 0.0, math.nan)
-        aim = place / least
-        zero = np.zeros_like(aim)
+        # NaN, added to a measurement, makes the belief ignore it; otherwise 0.
+        unusable = np.where(usable, 0.0, math.nan)
+        relative_std = position_std / travel
+        zero = np.zeros_like(relative_std)
 
-        distance, known = self.distance.observe(
+        distance, p_distance = self.distance.observe(
             DISTANCE,
             np.ones((*asked.shape, 2)),
-            np.log(least / size) + blank,
+            np.log(travel / size) + unusable,
             zero,
-            np.hypot(scatter.distance, aim),
+            np.hypot(scatter.distance, relative_std),
         )
         # The direction and the rotation per distance of a very short slide cannot be measured.
-        still = np.where(moved > 3.0 * place, blank, math.nan)
-        drift = np.stack(_directions(measured_heading - np.asarray(orientation, dtype=float)))
-        rotation, turned = self.rotation.observe(
+        too_short = np.where(moved > 3.0 * position_std, unusable, math.nan)
+        offsets = np.stack(_directions(measured_heading - np.asarray(orientation, dtype=float)))
+        rotation, p_rotation = self.rotation.observe(
             ROTATION,
-            np.stack([slope, slope, *drift, *drift], axis=-1),
-            seen[..., 2] / least + still,
+            np.stack([slope, slope, *offsets, *offsets], axis=-1),
+            seen[..., 2] / travel + too_short,
             zero + math.hypot(scatter.rotation, scatter.distance),
-            np.hypot(MIN_SLOPE, angle / least),
+            np.hypot(MIN_SLOPE, angle_std / travel),
         )
-        direction, aimed = self.direction.observe(
+        direction, p_direction = self.direction.observe(
             DIRECTION,
             np.stack([np.ones_like(slope), slope], axis=-1),
-            wrap_angle(measured_heading - heading) + still,
+            wrap_angle(measured_heading - commanded_heading) + too_short,
             zero,
-            np.hypot(scatter.direction, aim),
+            np.hypot(scatter.direction, relative_std),
         )
         if slid is not None:
             # The scatter of the impact is independent of the errors of the track, so that the two
             # measurements of a tap are independent.
-            slid = slid._replace(slope=slid.slope + still, distance=slid.distance + still)
-            told = Slid(*(np.nan_to_num(part, nan=1.0) for part in slid))
+            slid = slid._replace(slope=slid.slope + too_short, distance=slid.distance + too_short)
+            launch = Slid(*(np.nan_to_num(part, nan=1.0) for part in slid))
             distance, _ = distance.observe(
                 DISTANCE,
                 np.broadcast_to([0.0, 1.0], (*asked.shape, 2)),
-                np.log(least / slid.distance),
+                np.log(travel / slid.distance),
                 zero,
-                np.sqrt(told.distance_std**2 + SLIDE_MODEL[0] ** 2 + aim**2),
+                np.sqrt(launch.distance_std**2 + SLIDE_MODEL[0] ** 2 + relative_std**2),
             )
-            turned_slope = seen[..., 2] / least
-            error = np.hypot(told.slope_std, SLIDE_MODEL[1]) * turned_slope
+            measured_slope = seen[..., 2] / travel
+            slope_std = np.hypot(launch.slope_std, SLIDE_MODEL[1]) * measured_slope
             rotation, _ = rotation.observe(
                 ROTATION,
-                np.stack([zero, told.slope, zero, zero, *OFFSET_IN_TRACK * drift], axis=-1),
-                turned_slope + 0.0 * slid.slope,
+                np.stack([zero, launch.slope, zero, zero, *OFFSET_IN_TRACK * offsets], axis=-1),
+                np.where(np.isfinite(slid.slope), measured_slope, math.nan),
                 zero,
-                np.hypot(error, angle / least),
+                np.hypot(slope_std, angle_std / travel),
             )
-        explained = usable & (known >= UNEXPLAINED)
-        explained &= np.isnan(still) | ((turned >= UNEXPLAINED) & (aimed >= UNEXPLAINED))
+        explained = usable & (p_distance >= UNEXPLAINED)
+        explained &= np.isnan(too_short) | (np.minimum(p_rotation, p_direction) >= UNEXPLAINED)
         return Gains(
             distance,
             rotation,
@@ -372,12 +374,13 @@ class Gains:
         one = np.ones_like(slope)
         # Without a position floor, the scatter is proportional to the size. The quantile is then
         # the same for all taps of an object and is computed only once.
-        every = size if scatter.position_floor > 0.0 else np.ones(self.taken.shape)
-        stretch = scatter.along(every) / every
-        longest = self.distance.quantile(np.ones((*every.shape, 2)), high, stretch)
-        both = np.stack([one, slope], axis=-1)
-        aim = scatter.across(size) / size
-        aside = np.stack([self.direction.quantile(both, end, aim) for end in (low, high)], axis=-1)
+        sizes = size if scatter.position_floor > 0.0 else np.ones(self.taken.shape)
+        distance_std = scatter.along(sizes) / sizes
+        longest = self.distance.quantile(np.ones((*sizes.shape, 2)), high, distance_std)
+        terms = np.stack([one, slope], axis=-1)
+        direction_std = scatter.across(size) / size
+        ends = [self.direction.quantile(terms, end, direction_std) for end in (low, high)]
+        aside = np.stack(ends, axis=-1)
         expected = self.value[..., 2] + self.value[..., 3] * slope
         factor = np.exp(longest) / self.value[..., 0]
         return Spread(np.broadcast_to(factor, slope.shape), aside - expected[..., None])
@@ -401,20 +404,20 @@ class Gains:
         size = max(math.hypot(command[0], command[1]), MIN_MOVE)
         slope = command[2] / size
 
-        def half(belief: Belief, numbers: list[float], noise: float) -> float:
-            low, high = (belief.quantile(numbers, share, noise) for share in _ONE_DEVIATION)
+        def std(belief: Belief, coefficients: list[float], noise: float) -> float:
+            low, high = (belief.quantile(coefficients, share, noise) for share in _ONE_DEVIATION)
             return float(high - low) / 2
 
         travel = math.atan2(y, x) - orientation
-        stretch = half(self.distance, [1.0, 1.0], float(scatter.along(size)) / size)
-        aside = half(self.direction, [1.0, slope], float(scatter.across(size)) / size)
-        drift = [slope, slope, *2 * [float(part) for part in _directions(np.asarray(travel))]]
-        twist = half(self.rotation, drift, float(scatter.turning(command[2])) / size)
+        distance_std = std(self.distance, [1.0, 1.0], float(scatter.along(size)) / size)
+        direction_std = std(self.direction, [1.0, slope], float(scatter.across(size)) / size)
+        terms = [slope, slope, *2 * [float(part) for part in _directions(np.asarray(travel))]]
+        slope_std = std(self.rotation, terms, float(scatter.turning(command[2])) / size)
         effects = np.array(
             [
-                [stretch * x, stretch * y, stretch * turn],
-                [-aside * y, aside * x, 0.0],
-                [0.0, 0.0, twist * length],
+                [distance_std * x, distance_std * y, distance_std * turn],
+                [-direction_std * y, direction_std * x, 0.0],
+                [0.0, 0.0, slope_std * length],
             ]
         )
         return np.asarray(effects.T @ effects)
@@ -499,37 +502,37 @@ def plan_rotation(rotation: ArrayLike, gain: ArrayLike, box: float) -> Array:
 
 
 def command_of(
-    number: Array,
+    learnt: Array,
     distance: ArrayLike,
     rotation: ArrayLike,
     heading: ArrayLike,
     orientation: ArrayLike,
     cone_slope: float = math.inf,
 ) -> Array:
-    """Compute what ``Gains.command`` returns. ``number`` (..., 6) contains the parameters of
-    ``Gains.value``; its leading axes must broadcast with those of the taps."""
+    """Compute what ``Gains.command`` returns. ``learnt`` is ``Gains.value``, (..., 6); its leading
+    axes must broadcast with those of the taps."""
     travel = np.asarray(distance, dtype=float)
     size = np.maximum(np.abs(travel), 1e-12)
     along = np.asarray(heading, dtype=float) + np.where(travel < 0.0, math.pi, 0.0)
-    drift = _across(number, along - np.asarray(orientation, dtype=float))
-    slope = np.asarray(rotation, dtype=float) / size - drift / number[..., 1]
+    drift = _across(learnt, along - np.asarray(orientation, dtype=float))
+    slope = np.asarray(rotation, dtype=float) / size - drift / learnt[..., 1]
     slope = np.clip(slope, -cone_slope, cone_slope)
-    along = along - number[..., 2] - number[..., 3] * slope
-    length = size / number[..., 0]
+    along = along - learnt[..., 2] - learnt[..., 3] * slope
+    length = size / learnt[..., 0]
     return np.stack([length * np.cos(along), length * np.sin(along), slope * length], axis=-1)
 
 
-def prediction_of(number: Array, commanded: ArrayLike, orientation: ArrayLike) -> Array:
-    """Compute what ``Gains.predict`` returns. ``number`` (..., 6) contains the parameters of
-    ``Gains.value``; its leading axes must broadcast with those of the taps."""
+def prediction_of(learnt: Array, commanded: ArrayLike, orientation: ArrayLike) -> Array:
+    """Compute what ``Gains.predict`` returns. ``learnt`` is ``Gains.value``, (..., 6); its leading
+    axes must broadcast with those of the taps."""
     command = np.asarray(commanded, dtype=float)
     length = np.hypot(command[..., 0], command[..., 1])
     slope = command[..., 2] / np.maximum(length, 1e-12)
     along = np.arctan2(command[..., 1], command[..., 0])
-    along = along + number[..., 2] + number[..., 3] * slope
-    length = length * number[..., 0]
-    drift = _across(number, along - np.asarray(orientation, dtype=float))
-    turn = length * (number[..., 1] * slope + drift)
+    along = along + learnt[..., 2] + learnt[..., 3] * slope
+    length = length * learnt[..., 0]
+    drift = _across(learnt, along - np.asarray(orientation, dtype=float))
+    turn = length * (learnt[..., 1] * slope + drift)
     return np.stack([length * np.cos(along), length * np.sin(along), turn], axis=-1)
 
 
@@ -571,8 +574,8 @@ def _directions(travel: Array) -> tuple[Array, Array]:
     return -np.sin(travel), np.cos(travel)
 
 
-def _across(number: Array, travel: Array) -> Array:
+def _across(learnt: Array, travel: Array) -> Array:
     """Return the rotation per distance (rad/m) due to the offset, for directions in the object's
     frame."""
     first, second = _directions(travel)
-    return np.asarray(number[..., 4] * first + number[..., 5] * second)
+    return np.asarray(learnt[..., 4] * first + learnt[..., 5] * second)

@@ -94,6 +94,8 @@ class MultiPlanner:
         settings = self.settings
         r = np.asarray(distance, dtype=float)
         path = np.maximum(r, np.abs(rotation) / settings.cone_slope)
+        # The weight 0.2 is small, so that the number of taps decides between states of a similar
+        # distance. Beyond the largest tabulated distance, each largest tap counts as one tap.
         beyond = np.maximum(r - self.distances[-1], 0.0)
         return np.asarray(
             self.planned_taps(distance, rotation)
@@ -126,13 +128,13 @@ class MultiPlanner:
         angle = theta[:, None]
         least = np.maximum((angle - below) / (1.0 - line), 0.0)
         most = np.minimum(settings.cone_slope * np.abs(taps), (angle + below) / (1.0 + line))
-        keeps = (below > 0.0) & (least <= most * (1.0 + 1e-9))
+        to_lower_cone = (below > 0.0) & (least <= most * (1.0 + 1e-9))
         turn = np.minimum(np.clip(angle, least, np.maximum(least, most)), np.maximum(most, 0.0))
         left = np.abs(angle - turn)
         cost = self.planned_taps(end, left) + np.abs(taps) / settings.largest_distance
         cost[:, 0] -= np.where(level == 1, 10.0, 0.0)  # the last tap aims at the goal itself
-        lost = 1e6 + np.maximum(end, left / settings.cone_slope)
-        best = np.argmin(np.where(keeps, cost, lost), axis=1)
+        otherwise = 1e6 + np.maximum(end, left / settings.cone_slope)
+        best = np.argmin(np.where(to_lower_cone, cost, otherwise), axis=1)
         index = np.arange(r.size)
         return taps[index, best], turn[index, best]
 

@@ -158,7 +158,9 @@ class PrescribedSession:
         problems = self._problems(pose, contacts, made, slide, safe, in_view)
         for index in order.tolist():
             if not any(bool(problem[index]) for problem in problems.values()):
-                return self._made(pose, contacts[index], made.displacement[index], moved[index])
+                return self._make_strike(
+                    pose, contacts[index], made.displacement[index], moved[index]
+                )
         return self._refusal(pose, wanted, order.tolist(), problems, moved, slide)
 
     def observe(
@@ -243,7 +245,9 @@ class PrescribedSession:
             "tool": ~space.tool_fits(pose, contacts),
         }
 
-    def _made(self, pose: Array, contact: Array, displacement: Array, moved: Array) -> Strike:
+    def _make_strike(
+        self, pose: Array, contact: Array, displacement: Array, moved: Array
+    ) -> Strike:
         towards = unit_vectors(contact[2] - self.prescription.incidence)
         touch = contact[:2] + self._space.tip_radius * towards
         angle = math.atan2(touch[1] - pose[1], touch[0] - pose[0]) - pose[2]

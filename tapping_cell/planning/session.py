@@ -311,7 +311,7 @@ class GoalSession(ABC):
                     seen, total / count**2, observe_again=count < LONG_OBSERVATION
                 )
                 if fired is None and isinstance(decision, Strike):
-                    decision = self._coarse(covariance / LONG_OBSERVATION) or decision
+                    decision = self._noise_refusal(covariance / LONG_OBSERVATION) or decision
                 yield decision
                 if not isinstance(decision, ObserveAgain):
                     break
@@ -335,7 +335,7 @@ class GoalSession(ABC):
             return ObserveAgain(residual, float(found.probability))
         return None
 
-    def _coarse(self, covariance: Array) -> Refusal | None:
+    def _noise_refusal(self, covariance: Array) -> Refusal | None:
         """Return a refusal if an observation with this covariance cannot confirm a goal."""
         if self.stopping(covariance).camera_suffices:
             return None
@@ -390,7 +390,7 @@ class GoalSession(ABC):
             "object's present angle",
         )
 
-    def _made(
+    def _make_strike(
         self,
         pose: Array,
         left: Array,
@@ -630,7 +630,7 @@ class PositioningSession(GoalSession):
         self, pose: Array, left: Array, commanded: Array, plan: StrikePlan, detour: str
     ) -> Strike:
         expected = self._expected(pose, left, commanded, plan)
-        return self._made(pose, left, commanded, plan, detour, expected)
+        return self._make_strike(pose, left, commanded, plan, detour, expected)
 
     def _expected(self, pose: Array, left: Array, commanded: Array, plan: StrikePlan) -> Expected:
         """Return the expected effort of a displacement (3,) and of the taps after it. The effort is
@@ -764,7 +764,7 @@ class PositioningSession(GoalSession):
         found = self._space.first_strike(Pose(*pose.tolist()), safe)
         if found is None:
             return None
-        return self._made(
+        return self._make_strike(
             pose,
             left,
             safe[found[0]],

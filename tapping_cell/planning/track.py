@@ -85,7 +85,7 @@ def slid_of(launch: Launch, before: ArrayLike, after: ArrayLike, sliding: Slidin
     return Slid(
         np.asarray(rest.distance, dtype=float),
         np.asarray(slope),
-        2.0 * launch.speed_std,
+        2.0 * launch.speed_std,  # the distance grows with the square of the speed
         launch.spin_std,
     )
 

@@ -26,7 +26,7 @@ def film(
             taken = queue.pop(0)
             backlog.arrived(taken)
         now += each
-        backlog.answered(now)
+        backlog.processed(now)
         ages.append(now - taken)
     return backlog, ages
 

@@ -7,7 +7,7 @@ from harness import bench
 from tapping_cell_msgs.msg import ObjectState, ObjectStates
 
 from tapping_cell.nodes.camera.camera_pose import CameraPose
-from tapping_cell.nodes.frame_names import accept_table, add_prefix
+from tapping_cell.nodes.frame_names import add_prefix, remove_table_prefix
 
 
 def test_the_prefix_is_added_once_also_in_nested_messages() -> None:
@@ -25,7 +25,7 @@ def test_only_the_own_table_loses_its_prefix() -> None:
     for given, expected in names.items():
         goal = PoseStamped()
         goal.header.frame_id = given
-        accept_table(goal, "left/")
+        remove_table_prefix(goal, "left/")
         assert goal.header.frame_id == expected
 
 

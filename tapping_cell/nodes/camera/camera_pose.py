@@ -288,7 +288,7 @@ class CameraPose(CellNode[Parameters]):
         if not self.active:
             return
         self._answer(self._newest(message, info))
-        self._backlog.answered(time.time())
+        self._backlog.processed(time.time())
 
     def _newest(self, message: Image, info: dict[str, int]) -> Image:
         """Return ``message``, or a newer image from the queue if ``message`` is stale (see

@@ -15,29 +15,30 @@ _FULL = 0.9
 
 
 class Backlog:
-    """Compare the arrival rate of images with their processing rate. All times are in s."""
+    """Compare the arrival rate of images with their processing rate. All times are in s; the
+    arrival interval and the processing time are moving averages."""
 
     def __init__(self) -> None:
         self.passed_over = 0
         self._arrived: float | None = None
-        self._answered: float | None = None
-        self._between: float | None = None
-        self._each: float | None = None
+        self._processed: float | None = None
+        self._interval: float | None = None
+        self._processing: float | None = None
 
     def arrived(self, when: float) -> None:
         """Record the arrival time ``when`` (s) of the image just taken from the queue."""
         if self._arrived is not None:
-            self._between = _mean(self._between, when - self._arrived)
+            self._interval = _mean(self._interval, when - self._arrived)
         self._arrived = when
 
-    def answered(self, now: float) -> None:
+    def processed(self, now: float) -> None:
         """Record that the last image has been processed."""
-        last, arrived = self._answered, self._arrived
+        last, arrived = self._processed, self._arrived
         # The processing time is known only if this image was already queued when the previous
         # image was finished, because its processing then began immediately.
         if last is not None and arrived is not None and arrived < last:
-            self._each = _mean(self._each, now - last)
-        self._answered = now
+            self._processing = _mean(self._processing, now - last)
+        self._processed = now
 
     def stale(self, now: float) -> bool:
         """Return whether the last image waited so long that a newer queued image should be
@@ -49,19 +50,19 @@ class Backlog:
     @property
     def overrun(self) -> bool:
         """Whether images arrive faster than they are processed."""
-        if self._each is None or self._between is None:
+        if self._processing is None or self._interval is None:
             return False
-        return self._each > _FULL * self._between
+        return self._processing > _FULL * self._interval
 
     @property
     def sentence(self) -> str:
         """Warning for diagnostics; empty if there is no overrun."""
         if not self.overrun:
             return ""
-        assert self._each is not None and self._between is not None
+        assert self._processing is not None and self._interval is not None
         return (
-            f"an image takes {1e3 * self._each:.0f} ms to process, but images arrive every "
-            f"{1e3 * self._between:.0f} ms: only the newest is processed; lower the camera's "
+            f"an image takes {1e3 * self._processing:.0f} ms to process, but images arrive every "
+            f"{1e3 * self._interval:.0f} ms: only the newest is processed; lower the camera's "
             "rate or the load of the machine"
         )
 

@@ -16,7 +16,7 @@ from tapping_cell_msgs.msg import ArmState, ObjectState
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from tapping_cell.configuration.cell import Ros2ControlSection
-from tapping_cell.hardware.scara import Joints
+from tapping_cell.hardware.scara import REVOLUTE, Joints
 from tapping_cell.nodes.cell_node import COMMAND
 from tapping_cell.nodes.clients.goal_client import GoalClient
 from tapping_cell.nodes.conversions import from_message
@@ -124,8 +124,8 @@ class ArmPoseClient(GoalClient):
             state, here = self.arm_state, self.joints()
             assert state is not None and here is not None and self._joints is not None
             read = Time.from_msg(self._joints.header.stamp)
-            far = max(abs(here[i] - target[i]) for i in (0, 1, 3))
-            if state.state == ArmState.IDLE and far < ARRIVED and read > sent:
+            error = max(abs(here[i] - target[i]) for i in REVOLUTE)
+            if state.state == ArmState.IDLE and error < ARRIVED and read > sent:
                 return read
             if state.error_code and Time.from_msg(state.header.stamp) > sent:
                 raise ArmRefused(f"the arm rejected the motion: {state.error_msg}")

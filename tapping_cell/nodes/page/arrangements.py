@@ -118,7 +118,7 @@ class Arrangements:
                 self.cells,
                 request.preset,
                 {n: from_message(s.pose.pose) for n, s in seen.items() if s is not None},
-                next(iter(self.checks.values())).free,
+                next(iter(self.checks.values())).free,  # of any object, for the middle of the table
             )
         except (BadRequest, PlanningError) as error:
             answer(answer_to("arrange", False, str(error)))

@@ -270,7 +270,7 @@ class CellView:
         ]
         if stopped:
             return Mode("stopped", "; ".join(dict.fromkeys(stopped)), ErrorCode.EMERGENCY_STOP)
-        if self.emergency_stop and self._monitor.lost(_now()):
+        if self.emergency_stop and self._monitor.is_disconnected(_now()):
             devices = "the arm or the tapper" if self.has_arm else "the tapper"
             sentence = f"the emergency stop is pressed, and {devices} does not respond"
             return Mode("stopped", sentence, ErrorCode.EMERGENCY_STOP)
@@ -283,7 +283,7 @@ class CellView:
             assert self._plan is not None
             if self._plan.state == PlanState.CONFIRMING:
                 return Mode("waiting", f"{self._tap_words()} waits for your confirmation")
-            missing = self._monitor.missing(_now())
+            missing = self._monitor.why_not_ready(_now())
             if self._plan.state == PlanState.WAITING_FOR_CELL and missing is not None:
                 return Mode("not ready", f"the goal waits: {missing[1]}", missing[0])
             return Mode("moving", f"{self._tap_words()}: {PHASES[self._plan.state]}")
@@ -291,7 +291,7 @@ class CellView:
             return Mode("moving", f"the arm is {ARM_TEXTS[arm.state]}")
         if tapper is not None and tapper.state in TAPPER_BUSY:
             return Mode("moving", f"the tapper is {TAPPER_TEXTS[tapper.state]}")
-        missing = self._monitor.missing(_now())
+        missing = self._monitor.why_not_ready(_now())
         if missing is not None:
             return Mode("not ready", missing[1], missing[0])
         seen = self._monitor.object

@@ -85,6 +85,7 @@ class GoalPreview:
         self._camera_info: Subscription | None = None
         self._ghosts: dict[str, Ghost] = {}
         self._drawn: tuple[int, dict[str, object]] | None = None
+        """Id and drawing of the planned tap that was drawn last."""
         self._previews: Previews[tuple[Move | Turn | Place, Answer]] | None = None
 
     def start(self) -> None:

@@ -31,7 +31,7 @@ from tapping_cell.logic.planner_settings import PlannerSettings
 from tapping_cell.nodes.cell_identity import key_of, state_folder
 from tapping_cell.nodes.cell_node import BEST_EFFORT_COMMAND, COMMAND, LATCHED, run
 from tapping_cell.nodes.cell_parameters import FRAME_PREFIX
-from tapping_cell.nodes.frame_names import accept_table, add_prefix
+from tapping_cell.nodes.frame_names import add_prefix, remove_table_prefix
 from tapping_cell.nodes.logic_host import LogicHost, LogicNode
 from tapping_cell.nodes.message_conversion import from_ros, to_ros
 from tapping_cell.nodes.planner.markers import cell_markers
@@ -252,7 +252,7 @@ class TapPlanner(LogicNode[Parameters]):
 
     def _on_goal(self, action: str, kind: type[Any], handle: ServerGoalHandle) -> None:
         goal = bytes(handle.goal_id.uuid)
-        answered = False
+        answered = False  # a refused goal is answered before ``request`` returns
 
         def answer(result: Any) -> None:
             nonlocal answered
@@ -265,7 +265,7 @@ class TapPlanner(LogicNode[Parameters]):
             if handle.is_active:
                 handle.publish_feedback(self._to_wire(content))
 
-        accept_table(handle.request, self.settings.frame_prefix)
+        remove_table_prefix(handle.request, self.settings.frame_prefix)
         token = self.host.request(action, from_ros(handle.request, kind), answer, feedback)
         if not answered:
             self._tokens[goal] = token

@@ -35,7 +35,7 @@ def check_layout(scene: Scene, maps: AmongOthers) -> Refusal | None:
                 "observe the object again",
             )
     standing = {body.name: scene.poses[body.name] for body in scene.bodies if not body.movable}
-    return check_goals(scene.bodies, standing) or _order_exists(scene, goals, maps)
+    return check_goals(scene.bodies, standing) or _order_refusal(scene, goals, maps)
 
 
 def check_goals(bodies: Sequence[Body], standing: Mapping[str, Pose] = NOWHERE) -> Refusal | None:
@@ -51,10 +51,10 @@ def check_goals(bodies: Sequence[Body], standing: Mapping[str, Pose] = NOWHERE) 
         alone = check_goal(np.array(body.goal), body.free.space, body.free)
         if alone is not None:
             return Refusal(alone.reason, f"'{body.name}': {alone.sentence}")
-    return _overlap(bodies, standing)
+    return _overlap_refusal(bodies, standing)
 
 
-def _overlap(bodies: Sequence[Body], standing: Mapping[str, Pose]) -> Refusal | None:
+def _overlap_refusal(bodies: Sequence[Body], standing: Mapping[str, Pose]) -> Refusal | None:
     """Return a refusal if two goals, or a goal and an unmovable object, are too close together."""
     placed = [
         (body, body.goal if body.goal is not None else standing[body.name])
@@ -80,7 +80,7 @@ def _overlap(bodies: Sequence[Body], standing: Mapping[str, Pose]) -> Refusal | 
     return None
 
 
-def _order_exists(scene: Scene, goals: dict[str, Pose], maps: AmongOthers) -> Refusal | None:
+def _order_refusal(scene: Scene, goals: dict[str, Pose], maps: AmongOthers) -> Refusal | None:
     fixed = [b.area(scene.poses[b.name]) for b in scene.bodies if b.goal is None and not b.movable]
     stuck = stuck_goals([b for b in scene.bodies if b.goal is not None], [], fixed, maps)
     if not stuck:

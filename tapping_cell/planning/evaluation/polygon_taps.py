@@ -28,14 +28,14 @@ ATTEMPTS = 8
 
 
 def contact_taps(
-    pose: Array, goal: Array, first: Array, number: Array, planner: Planner, tap: Tap
+    pose: Array, goal: Array, first: Array, learnt: Array, planner: Planner, tap: Tap
 ) -> Array:
     """Return displacements (n, 3) that are possible with some contact: the first choices if they
     are possible, else alternatives; NaN if no alternative was found.
 
     Alternatives are ranked as by ``alternative_taps`` on an open table, on the assumption that the
     polygon slides like the equivalent disk. The chosen alternative is then checked with the
-    polygon's own slide. Poses, goals and first choices are (n, 3); number: ``Gains.value``, (n, 6).
+    polygon's own slide. Poses, goals and first choices are (n, 3); learnt: ``Gains.value``, (n, 6).
     """
     if not isinstance(tap.body, Polygon):
         return first
@@ -43,26 +43,26 @@ def contact_taps(
     rough = replace(tap, sliding=tap.sliding.approximated())
     rows = np.flatnonzero(~tap.reachable(first, pose))
     for begin in range(0, rows.size, CHECKED):
-        at = rows[begin : begin + CHECKED]
+        batch = rows[begin : begin + CHECKED]
         rankings = [
-            _Ranking(pose[part], goal[part], first[part], number[part], planner, rough)
-            for part in np.split(at, range(BLOCK, at.size, BLOCK))
+            _Ranking(pose[part], goal[part], first[part], learnt[part], planner, rough)
+            for part in np.split(batch, range(BLOCK, batch.size, BLOCK))
         ]
-        open_rows: NDArray[np.intp] = np.arange(at.size)
+        undecided: NDArray[np.intp] = np.arange(batch.size)
         for _ in range(ATTEMPTS):
             best = np.concatenate(
                 [
-                    ranking.best(open_rows[open_rows // BLOCK == index] - index * BLOCK)
+                    ranking.best(undecided[undecided // BLOCK == index] - index * BLOCK)
                     for index, ranking in enumerate(rankings)
                 ]
             )
-            chosen[at[open_rows]] = best
-            known = np.flatnonzero(np.isfinite(best[:, 0]))
-            wrong = ~tap.reachable(best[known], pose[at[open_rows[known]]])
-            open_rows = open_rows[known[wrong]]
-            if open_rows.size == 0:
+            chosen[batch[undecided]] = best
+            finite = np.flatnonzero(np.isfinite(best[:, 0]))
+            wrong = ~tap.reachable(best[finite], pose[batch[undecided[finite]]])
+            undecided = undecided[finite[wrong]]
+            if undecided.size == 0:
                 break
-        chosen[at[open_rows]] = np.nan
+        chosen[batch[undecided]] = np.nan
     return chosen
 
 
@@ -70,40 +70,40 @@ class _Ranking:
     """Ranked candidates of several trials; each candidate is returned only once."""
 
     def __init__(
-        self, pose: Array, goal: Array, first: Array, number: Array, planner: Planner, tap: Tap
+        self, pose: Array, goal: Array, first: Array, learnt: Array, planner: Planner, tap: Tap
     ) -> None:
         place = goal[:, None, :2]
 
         def straight(points: Array) -> Array:
             return np.hypot(points[..., 0] - place[..., 0], points[..., 1] - place[..., 1])
 
-        self._made = candidate_taps(pose, goal, first, number, planner, straight, tap)
-        self._pose, self._goal, self._number = pose, goal, number
+        self._candidates = candidate_taps(pose, goal, first, learnt, planner, straight, tap)
+        self._pose, self._goal, self._learnt = pose, goal, learnt
         self._planner, self._tap = planner, tap
-        self._made.cost[~_passed_on(tap, pose, self._made.commanded)] = np.inf
+        self._candidates.cost[~_in_friction_cone(tap, pose, self._candidates.commanded)] = np.inf
 
     def best(self, rows: NDArray[np.intp]) -> Array:
         """Return each trial's best remaining candidate, (n, 3), or NaN if none remains."""
-        made = self._made
+        candidates = self._candidates
         chosen = np.full((rows.size, 3), np.nan)
-        count = made.cost.shape[1]
+        count = candidates.cost.shape[1]
         left: NDArray[np.intp] = np.arange(rows.size)
         tried = min(FIRST, count)
         while left.size:
             at = rows[left]
-            order = np.argpartition(made.cost[at], min(tried, count - 1), axis=1)
+            order = np.argpartition(candidates.cost[at], min(tried, count - 1), axis=1)
             some = np.sort(order[:, :tried], axis=1)
             # Lower bound of the costs of all candidates that are not evaluated yet.
             bound: Array = np.full(left.size, np.inf)
             if tried < count:
-                bound = made.cost[at, order[:, tried]]
+                bound = candidates.cost[at, order[:, tried]]
             total = self._total(at, some)
             best = np.argmin(total, axis=1)
             least = total[np.arange(left.size), best]
             sure = np.isfinite(least) & (least <= bound)
             column = some[np.arange(left.size), best]
-            chosen[left[sure]] = made.commanded[at[sure], column[sure]]
-            made.cost[at[sure], column[sure]] = np.inf
+            chosen[left[sure]] = candidates.commanded[at[sure], column[sure]]
+            candidates.cost[at[sure], column[sure]] = np.inf
             none = np.isinf(least) & np.isinf(bound)
             left = left[~sure & ~none]
             if tried == count:
@@ -114,23 +114,23 @@ class _Ranking:
     def _total(self, rows: NDArray[np.intp], some: NDArray[np.intp]) -> Array:
         """Return the total cost of the candidates ``some`` (n, k); infinite for impossible
         candidates."""
-        made, at = self._made, rows[:, None]
-        total = made.cost[at, some]
-        reached = self._tap.reachable(made.commanded[at, some], self._pose[at])
+        candidates, at = self._candidates, rows[:, None]
+        total = candidates.cost[at, some]
+        reached = self._tap.reachable(candidates.commanded[at, some], self._pose[at])
         total = np.where(reached, total, np.inf)
         row, column = np.nonzero(np.isfinite(total))
-        after = made.after[rows[row], some[row, column]]
+        after = candidates.after[rows[row], some[row, column]]
         total[row, column] += indirect(
-            after, self._goal[rows[row]], self._number[rows[row]], self._planner, self._given
+            after, self._goal[rows[row]], self._learnt[rows[row]], self._planner, self._reachable
         )
         return total
 
-    def _given(self, poses: Array, commanded: Array) -> NDArray[np.bool_]:
+    def _reachable(self, poses: Array, commanded: Array) -> NDArray[np.bool_]:
         """Return which of the displacements ``commanded`` a tap can produce at the given poses."""
         return np.asarray(self._tap.reachable(commanded, poses))
 
 
-def _passed_on(tap: Tap, pose: Array, commanded: Array) -> NDArray[np.bool_]:
+def _in_friction_cone(tap: Tap, pose: Array, commanded: Array) -> NDArray[np.bool_]:
     """Return which displacements (n, m, 3) lie in the friction cone of some edge. All others are
     impossible for a polygon that slides like a disk: it moves in the direction of the impulse,
     which lies in the friction cone of the edge."""

@@ -149,7 +149,7 @@ BROKEN_ARMS = {
     "leaves before the end of its promise": ("A3", forgetting("until")),
     "grants every promise": ("A4", {"_hold_still": grants_always}),
     "leaves with a charged striker": ("A5", forgetting("_charged_until")),
-    "forgets the ids that it has executed": ("A6", {"_last_id": fixed(0)}),
+    "forgets the ids that it has executed": ("A6", {"_last_command_id": fixed(0)}),
     "accepts every command": ("A7", {"_refusal": lambda self, command, now: None}),
     "does not know its frame": ("A8", {"_refusal": lambda self, command, now: None}),
     "does not look for a second planner": ("A10", {"_conflict": fixed(None)}),

@@ -280,7 +280,7 @@ def test_a_tapper_charged_by_another_program_is_busy_for_a_goal(state: int) -> N
     monitor = CellMonitor(silence_limit=0.5)
     monitor.expect(has_arm=False, name="disk")
     monitor.on_tapper(TapperState(state=state, tappers=["east"]), Now(1.0, 10**9))
-    missing = monitor.missing(Now(1.1, 1_100_000_000))
+    missing = monitor.why_not_ready(Now(1.1, 1_100_000_000))
     assert missing == (ErrorCode.TAPPER_BUSY, "the tapper is busy")
 
 

@@ -410,7 +410,7 @@ def test_a_program_error_does_not_end_the_job_that_sends_a_stop() -> None:
 def test_a_stop_that_a_program_error_interrupts_is_completed(monkeypatch):
     arm = in_position().arm
     with monkeypatch.context() as broken:
-        broken.setattr(arm, "_overtake", raise_error)
+        broken.setattr(arm, "_supersede_job", raise_error)
         with pytest.raises(ValueError, match="defect"):
             arm.on_request("~/stop", Trigger.Request(), 1, at(START + 1.0))
     arm.on_defect(ValueError("a defect"), at(START + 1.0))

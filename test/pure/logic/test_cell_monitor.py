@@ -46,6 +46,6 @@ def test_an_open_guard_is_named_before_a_tap_is_planned(closed: bool) -> None:
     tapper.header.stamp = to_stamp(round(1e9 * T))
     monitor.on_tapper(tapper, at(T))
     monitor.on_objects(alone(seen_at(T)), at(T))
-    missing = monitor.missing(at(T))
+    missing = monitor.why_not_ready(at(T))
     assert (missing is None) is closed
     assert missing is None or missing[0] == ErrorCode.TAPPER_INTERLOCK_OPEN

@@ -87,13 +87,13 @@ DELAYS = st.lists(st.floats(0.0, 0.1), min_size=30, max_size=60)
 @given(st.floats(-0.38, 0.38), DELAYS)
 def test_clock_offsets_within_the_budget_block_nothing(ahead: float, delays: list[float]) -> None:
     monitor, now = monitor_with(ahead, delays)
-    assert monitor.missing(at(now)) is None
+    assert monitor.why_not_ready(at(now)) is None
 
 
 @given(st.floats(0.65, 3600.0), st.sampled_from([-1.0, 1.0]), DELAYS)
 def test_clock_offsets_beyond_the_budget_are_refused_with_the_values(ahead, sign, delays):
     monitor, now = monitor_with(sign * ahead, delays)
-    missing = monitor.missing(at(now))
+    missing = monitor.why_not_ready(at(now))
     assert missing is not None and missing[0] == ErrorCode.CLOCKS_DIFFER
     least = min(received - taken for taken, received in arrivals(delays))
     assert shown_skew(missing[1]) == pytest.approx(-sign * ahead + least, abs=0.011)
@@ -110,7 +110,7 @@ def test_the_planner_names_the_driver_whose_clock_is_off(ahead, sign, who):
         receive = monitor.on_tapper
     stamp_of(state, now, sign * ahead)
     receive(state, at(now))
-    missing = monitor.missing(at(now))
+    missing = monitor.why_not_ready(at(now))
     assert missing is not None and missing[0] == ErrorCode.CLOCKS_DIFFER
     assert NAMES[who] in missing[1]
     assert shown_skew(missing[1]) == pytest.approx(-sign * ahead, abs=0.011)
@@ -146,7 +146,7 @@ def test_images_that_seem_old_after_a_clock_step_are_reported_as_differing_clock
     monitor, received = monitor_with(0.0, [0.01] * 30)
     now = Now(received + 0.1, at(received + 0.1 - step).ros)
     monitor.on_objects(alone(seen(received + 0.09, -step)), now)
-    code, sentence = monitor.blind(10.0, 10, now)
+    code, sentence = monitor.why_not_observed(10.0, 10, now)
     assert code == ErrorCode.CLOCKS_DIFFER, sentence
 
 
@@ -276,10 +276,10 @@ def test_the_planners_last_tap_does_not_count_for_the_next_one() -> None:
     for state in (PlanState.FIRING, PlanState.IDLE):
         peers.begin_tap("", 0.0)
         peers.on_plan_state(PlanState(state=state), at(1.0))
-        assert peers.given_up() is None
+        assert peers.abandonment_error() is None
     peers.on_plan_state(PlanState(state=PlanState.PLACING), at(1.1))
     peers.on_plan_state(PlanState(state=PlanState.IDLE), at(1.2))
-    assert peers.given_up() is not None
+    assert peers.abandonment_error() is not None
 
 
 @given(st.sampled_from(["arm", "camera"]), st.floats(0.65, 3600.0))

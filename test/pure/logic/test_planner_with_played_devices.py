@@ -321,8 +321,8 @@ def test_an_implausible_covariance_does_not_end_the_goal(actors: Actors, varianc
     actors.run(0.5)
     monitor, now = actors.process.logic._monitor, actors.process._clock.now()
     assert not monitor.usable(0.0, 1, now)
-    assert monitor.blind(None, 1, now)[0] == ErrorCode.OBJECT_NOT_SEEN
-    assert "covariance" in monitor.blind(None, 1, now)[1]
+    assert monitor.why_not_observed(None, 1, now)[0] == ErrorCode.OBJECT_NOT_SEEN
+    assert "covariance" in monitor.why_not_observed(None, 1, now)[1]
     actors.covariance = plausible
     assert actors.end().error_code == ErrorCode.NONE
 
