@@ -88,6 +88,9 @@ def run(arguments: argparse.Namespace) -> int:
                     f"{path} is not a run: skipped", highlight=False, markup=False, soft_wrap=True
                 )
                 continue
+            if path.is_file() and no_run(path):
+                print_error(f"{path} is not a bag (.mcap); give the folder of the run")
+                continue
             inner = _runs_in(path)
             if inner:
                 print_error(f"{path} is no run folder, but contains {len(inner)}; give {path}/*")

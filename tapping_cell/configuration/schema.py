@@ -137,10 +137,10 @@ def _similar_path(path: Path) -> str:
     if as_on_linux != path and as_on_linux.is_file():
         return f"; did you mean '{as_on_linux}'?"
     try:
-        files = [] if path.exists() else [file.name for file in path.parent.iterdir()]
+        near = [] if path.exists() else [*path.parent.iterdir(), *path.parent.glob("*/*.y*ml")]
     except OSError:
         return ""
-    return did_you_mean(path.name, files)
+    return did_you_mean(path.name, (str(file.relative_to(path.parent)) for file in near))
 
 
 def load(kind: type[Section], path: Path | str) -> Section:
@@ -327,6 +327,9 @@ def _hint(value: Any, wanted: str, limits: Limits) -> str:
         return number_hint(value, limits.unit) if limits.numeric else character_hint(value)
     if isinstance(value, Mapping) and wanted.startswith("a list"):
         return "; begin each entry with '- '"
+    if isinstance(value, list) and wanted.startswith("a list"):
+        texts = (number_hint(entry) for entry in value if isinstance(entry, str))
+        return next((hint for hint in texts if hint), "") if limits.numeric else ""
     if isinstance(value, (int, float)) and not isinstance(value, bool):
         if wanted.startswith("a list"):
             return "; put the numbers that belong together in brackets: [...]"

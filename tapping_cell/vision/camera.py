@@ -259,9 +259,11 @@ class CameraModel:
                 f"one channel (mono8), {self.height} rows of {self.width}"
             )
         if image.shape != (self.height, self.width):
+            turned = image.shape == (self.width, self.height)
+            remedy = "turn it by 90 degrees" if turned else "change the image size"
             return (
                 f"the image is {image.shape[1]} x {image.shape[0]} pixels but the calibration is "
-                f"for {self.width} x {self.height}; calibrate again or change the image size"
+                f"for {self.width} x {self.height}; calibrate again or {remedy}"
             )
         return None
 

@@ -82,6 +82,12 @@ def _contradiction(table: TableTracker) -> str:
             f"they are off by up to {table.error:.1f} pixels (limit {limit:.1f}); check their "
             "positions, angles and sizes in the file and on the table"
         )
+    if 2.0 * table.bloom > table.side:  # the fitted length is negative
+        return (
+            f"the reference markers {names} are turned by 180 degrees against the table file, as "
+            "tags are that were printed from AprilTag's own pictures; add 3.14159265 to the theta "
+            "of each of them"
+        )
     return (
         f"the apparent side length of the reference markers {names} differs by "
         f"{2.0 * table.bloom:+.1f} pixels from that expected from the positions and sizes in the "

@@ -77,7 +77,7 @@ def test_files_that_are_no_bags_are_skipped_among_several_paths(runs, capsys):
     output = " ".join(capsys.readouterr().out.split())
     assert f"{runs / 'comparison.html'} is not a run: skipped" in output
     assert main(["report", str(runs / "comparison.html")]) == 2
-    assert "not an MCAP file" in " ".join(capsys.readouterr().err.split())
+    assert "give the folder of the run" in " ".join(capsys.readouterr().err.split())
     assert main(["report", str(runs / "nowhere.html"), str(runs / "good")]) == 1
 
 

@@ -164,12 +164,18 @@ MISTAKES = [
     (DISK, "\nfriction: 0.17 ", "\nfriction: 9.6 ", "tangent of the friction angle"),
     (DISK, "direction: 0.01745 ", "direction: 0.5 ", "if the value is in deg, write 0.00872665"),
     (CAMERA, "639.5, 0.0, 1150.0, 511.5", "511.5, 0.0, 1150.0, 639.5", "or cx and cy, seem to be"),
+    (CAMERA, "distortion_model", "camera_model", "if 'camera_model' is meant, rename it"),
+    (CAMERA, "-0.12, 0.08, 0.0004,", "-0.12 0.08 0.0004", "put commas between the numbers"),
+    (CELL, "[0.0, 0.47, -1.5707963]", "[0.0 0.47 -1.5707963]", "put commas between the numbers"),
+    (CELL, "  baud: 115200", "  baud:115200", "write a space after the colon in 'baud:115200'"),
     (
-        CAMERA,
-        "image_width",
-        "width",
-        "name the values as in the package's camera_info.yaml (the ke",
+        DISK,
+        "shape:\n  kind: disk\n  radius: 0.048",
+        "shape: {kind:disk}",
+        "a space after its colon",
     ),
+    (CELL, "port: ~/.ros/tapping_cell/{cell}/arm", "port: /dev/ttyUSB0:115200", "'baud: 115200'"),
+    (SIX, "base_link\n      tip_link: flange", "flange\n      tip_link: base_link", "be exchanged"),
     (CAMERA, MATRIX, "[[1150, 0, 639.5], [0, 1150, 511.5], [0, 0, 1]]", "its numbers in one list"),
 ]
 
@@ -195,6 +201,7 @@ def test_a_common_mistake_is_refused_with_cause_and_remedy(
     ("old", "new", "words"),
     [
         ("object: objects/", "object: objects\\", "did you mean '{}/objects/aluminium_disk.yaml'?"),
+        ("objects/aluminium_disk.yaml", "aluminium disk", "mean 'objects/aluminium_disk.yaml'?"),
         ("aluminium_disk", "Aluminium_Disk", "did you mean 'aluminium_disk.yaml'?"),
         (
             "markers: table.yaml",
