@@ -31,6 +31,7 @@ _DATE = re.compile(
 """What spreadsheets make of numbers such as 1.2 or 3-5."""
 _OTHER_UNITS = {
     "m": (("mm", 1e-3), ("cm", 1e-2), ("inches", 0.0254)),
+    "mm": (("m", 1e3), ("cm", 10.0), ("inches", 25.4)),
     "rad": (("deg", math.pi / 180.0),),
     "kg": (("g", 1e-3),),
     "J": (("mJ", 1e-3),),

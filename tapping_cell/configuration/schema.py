@@ -166,9 +166,13 @@ def build(kind: type[Section], document: Any, source: str, key: str = "") -> Sec
     for name in document:
         if name not in fields:
             known = ", ".join(fields)
+            inner = isinstance(document[name], Mapping)
+            choices = [own for own in fields if not inner or _is_section(hints[own])]
             meant = (
-                did_you_mean(name, fields) or _place_of(name, hints) or character_hint(str(name))
+                did_you_mean(name, choices) or _place_of(name, hints) or character_hint(str(name))
             )
+            if inner and key and not meant:
+                meant = "; if it is a section beside this one, indent it less"
             raise ConfigurationError(
                 f"{source}: unknown key '{_join(key, name)}'{meant}; the keys here are {known}"
             )
@@ -189,6 +193,12 @@ def build(kind: type[Section], document: Any, source: str, key: str = "") -> Sec
         raise
     except ValueError as error:
         raise ConfigurationError(f"{source}: {key or 'the document'}: {error}") from error
+
+
+def _is_section(hint: Any) -> bool:
+    """Return whether a field of this type holds a section or a mapping of names to values."""
+    kinds = (hint, *typing.get_args(hint))
+    return any(dataclasses.is_dataclass(k) or typing.get_origin(k) is Mapping for k in kinds)
 
 
 def _place_of(name: object, hints: Mapping[str, Any]) -> str:

@@ -127,6 +127,10 @@ def load_camera_model(path: Path | str) -> CameraModel:
         raise ConfigurationError(
             f"{path}: must be a mapping of keys to values, as ROS's camera_calibration writes it"
         )
+    if "markers" in document:
+        raise ConfigurationError(
+            f"{path}: is a table file, but a camera_info file is needed here; correct the path"
+        )
     try:
         camera = CameraModel.from_camera_info(
             width=_pixels(document, "image_width"),

@@ -272,6 +272,15 @@ def test_a_mistake_that_may_be_meant_is_a_warning(
     assert any(words in sentence for sentence in found.warnings), found.warnings
 
 
+def test_a_section_that_is_indented_too_far_is_named(tmp_path: Path) -> None:
+    text = (shared_folder() / CELL).read_text(encoding="utf-8")
+    start, end = text.index("tapper:\n"), text.index("\ncamera:")
+    inner = "".join(f"  {line}\n" for line in text[start:end].splitlines())
+    (tmp_path / CELL).write_text(text[:start] + inner + text[end:], encoding="utf-8")
+    errors = [sentence for found in check(tmp_path / CELL) for sentence in found.errors]
+    assert any("'arm.tapper'; if it is a section beside this one" in error for error in errors)
+
+
 def test_the_corners_of_a_polygon_may_be_clockwise(tmp_path: Path) -> None:
     text = (shared_folder() / SQUARE).read_text(encoding="utf-8")
     turned = tmp_path / "square.yaml"
@@ -367,6 +376,10 @@ def test_a_mistake_in_a_record_is_refused_and_named(
 
 ARGUMENTS = [
     (["goal", "50,5", "-20", "90"], "write a decimal point: 50.5"),
+    (["goal", "50,-20,90"], "separate the numbers by spaces: 50 -20 90"),
+    (["goal", "50", "-20"], "THETA, in degrees, is missing"),
+    (["evaluate", "--trials", "1e3"], "is not a whole number; write 1000"),
+    (["evaluate", "--scatter", "5%", "15%", "1"], "without '%', in the unit that --help states"),
     (["demo", "--goal", "10", "20mm", "0"], "write the number without 'mm'"),
     (["evaluate", "--tolerance", "0.001", "0.02"], "if the value is in m, write 1"),
     (["evaluate", "--goal", "0.01", "0", "0.17"], "if it is in m and rad, write 10 0 9.74"),
