@@ -150,7 +150,18 @@ def load(kind: type[Section], path: Path | str) -> Section:
         ConfigurationError: the file is invalid; the message names file, key, value and range.
     """
     path = Path(path)
-    return build(kind, read_yaml(path), source=str(path))
+    document = read_yaml(path)
+    required = {
+        entry.name
+        for entry in dataclasses.fields(kind)  # type: ignore[arg-type]
+        if entry.default is MISSING and entry.default_factory is MISSING
+    }
+    if isinstance(document, Mapping) and document and required and not required & set(document):
+        raise ConfigurationError(
+            f"{path}: is a file of another kind: it has none of the keys "
+            f"{', '.join(sorted(required))}; correct the path"
+        )
+    return build(kind, document, source=str(path))
 
 
 def build(kind: type[Section], document: Any, source: str, key: str = "") -> Section:

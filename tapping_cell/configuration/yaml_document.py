@@ -77,13 +77,18 @@ def parse_yaml(text: str) -> Any:
         lines = text.split("\n")[max(0, line - 1) : line + 1]
         raise YamlError(
             f"malformed YAML at line {line + 1}, column {mark.column + 1}: {problem}"
-            + (character_hint("\n".join(lines), tabs=True) or _colon_hint(lines))
+            + (character_hint("\n".join(lines), tabs=True) or _colon_hint(lines, text))
         ) from error
 
 
-def _colon_hint(lines: list[str]) -> str:
+def _colon_hint(lines: list[str], text: str) -> str:
+    """Return a hint at a colon that is missing or has no space behind it; empty if there is
+    none."""
     joined = next((line.strip() for line in lines if _NO_SPACE.match(line)), "")
-    return f"; write a space after the colon in '{joined[:40]}'" if joined else ""
+    if joined:
+        return f"; write a space after the colon in '{joined[:40]}'"
+    equals = re.search(r"^\s*\w+ *= *\S", text, re.MULTILINE)
+    return f"; write 'key: value', not '{equals[0].strip()}...'" if equals else ""
 
 
 class _Dumper(yaml.SafeDumper):

@@ -59,6 +59,12 @@ def table_notice(displaced: list[int], doubled: list[int], missed: list[int]) ->
     """
     if displaced:
         names = ", ".join(map(str, displaced))
+        if len(displaced) > 1:
+            return (
+                f"reference markers {names} are not at their positions in the table file; they are "
+                "ignored; if none was moved, the file is wrong, or the calibration does not suit "
+                "the images (are they rectified?)"
+            )
         return f"reference marker {names} is not at its position in the table file; it is ignored"
     if doubled:
         names = ", ".join(map(str, doubled))

@@ -167,6 +167,7 @@ MISTAKES = [
     (CAMERA, "distortion_model", "camera_model", "if 'camera_model' is meant, rename it"),
     (CAMERA, "-0.12, 0.08, 0.0004,", "-0.12 0.08 0.0004", "put commas between the numbers"),
     (CELL, "[0.0, 0.47, -1.5707963]", "[0.0 0.47 -1.5707963]", "put commas between the numbers"),
+    (DISK, "\nfriction: 0.17 ", "\nfriction = 0.17 ", "write 'key: value', not 'friction = 0...'"),
     (CELL, "  baud: 115200", "  baud:115200", "write a space after the colon in 'baud:115200'"),
     (
         DISK,
@@ -244,6 +245,8 @@ def test_a_lens_with_the_third_radial_coefficient_before_the_tangential_ones_is_
     assert check(shared_folder() / CAMERA)[0].warnings == []
 
 
+FASTEST = "max_speed: [2.0, 2.5, 0.25, 6.0]\n  max_acceleration: [8.0, 10.0, 2.0, 30.0]"
+EXCHANGED = "max_speed: [8.0, 10.0, 2.0, 30.0]\n  max_acceleration: [2.0, 2.5, 0.25, 6.0]"
 NORTH = "0.47, -1.5707963]"
 SIZES = "length: 0.60\n  width: 0.44"
 
@@ -251,6 +254,8 @@ SIZES = "length: 0.60\n  width: 0.44"
 @pytest.mark.parametrize(
     ("file", "changes", "words"),
     [
+        (CELL, {FASTEST: EXCHANGED}, "never reach 'arm.max_speed' within their limits; these two"),
+        (CELL, {"travel_speed: 0.8": "travel_speed: 0.3"}, "'arm.travel_speed' (0.3); these two"),
         (CELL, {NORTH: "0.47, 1.5707963]"}, "points away from the middle of the table"),
         (CELL, {SIZES: "length: 0.44\n  width: 0.60"}, "markers 102, 107 lie in the usable area"),
         (FIXED, {f"channel: {k}": f"channel: {k + 1}" for k in (*range(7, -1, -1),)}, "from 0; if"),
@@ -374,6 +379,7 @@ def test_a_mistake_in_a_record_is_refused_and_named(
     assert words in capsys.readouterr().err
 
 
+TRUTH = str(shared_folder() / "truth" / "default.yaml")
 ARGUMENTS = [
     (["goal", "50,5", "-20", "90"], "write a decimal point: 50.5"),
     (["goal", "50,-20,90"], "separate the numbers by spaces: 50 -20 90"),
@@ -388,6 +394,7 @@ ARGUMENTS = [
         "0.012 is outside its limits 0.5 to 500 mm; if the value is in m, write 12",
     ),
     (["goal", "50", "-20", "90", "--tolerance", "0.001", "0.02"], "must be 0.01 to 100 mm"),
+    (["evaluate", "--model", "physics", "--object", TRUTH], "is a file of another kind: it has no"),
     (["goal", "--layout", "LAYOUT"], "'goals[0]' and 'goals[1]' are both for the object 'a'"),
 ]
 
