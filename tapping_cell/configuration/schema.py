@@ -33,6 +33,8 @@ class ConfigurationError(ValueError):
     """A configuration file that cannot be used; the message names file, key, value and range."""
 
 
+MOST_KEYS = 20
+"""Maximum number of keys from which the kind of a file is recognised."""
 LONGEST_SHOWN = 60
 """Maximum number of characters of an invalid text that an error message shows."""
 
@@ -151,15 +153,13 @@ def load(kind: type[Section], path: Path | str) -> Section:
     """
     path = Path(path)
     document = read_yaml(path)
-    required = {
-        entry.name
-        for entry in dataclasses.fields(kind)  # type: ignore[arg-type]
-        if entry.default is MISSING and entry.default_factory is MISSING
-    }
-    if isinstance(document, Mapping) and document and required and not required & set(document):
+    fields = [entry.name for entry in dataclasses.fields(kind)]  # type: ignore[arg-type]
+    keys = list(document)[:MOST_KEYS] if isinstance(document, Mapping) else []
+    if 2 * sum(bool(did_you_mean(name, fields)) for name in keys) < len(keys):
+        shown = ", ".join(str(name)[:40] for name in keys)
         raise ConfigurationError(
-            f"{path}: is a file of another kind: it has none of the keys "
-            f"{', '.join(sorted(required))}; correct the path"
+            f"{path}: is a file of another kind, with the keys {shown}; those needed here are "
+            f"{', '.join(fields)}; correct the path"
         )
     return build(kind, document, source=str(path))
 

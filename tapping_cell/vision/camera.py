@@ -57,10 +57,12 @@ class CameraModel:
     def __post_init__(self) -> None:
         """Raise CameraError, with the value, if the parameters do not describe a camera."""
         if self.distortion_model not in _LENGTHS:
-            raise CameraError(
-                f"distortion_model is {self.distortion_model!r}; calibrate again with plumb_bob or "
-                "rational_polynomial, the only supported models"
+            remedy = (
+                "calibrate again with plumb_bob or rational_polynomial, the only supported models"
             )
+            if self.distortion_model == "radtan":  # Kalibr's name
+                remedy = "write plumb_bob, which is the same model"
+            raise CameraError(f"distortion_model is {self.distortion_model!r}; {remedy}")
         lengths = _LENGTHS[self.distortion_model]
         if len(self.distortion) not in lengths:
             allowed = f"{', '.join(map(str, lengths[:-1]))} or {lengths[-1]}"

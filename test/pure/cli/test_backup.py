@@ -184,6 +184,11 @@ def test_an_archive_without_a_statement_is_refused(
     assert verb("restore", places.root, str(archive), "--yes") == 2
 
 
+def test_a_backup_into_a_folder_is_refused(places: Places, tmp_path: Path, capsys) -> None:
+    assert verb("backup", places.root, str(tmp_path)) == 2
+    assert "give the name of a zip file in it" in " ".join(capsys.readouterr().err.split())
+
+
 def test_an_archive_that_was_packed_again_is_named(places: Places, tmp_path: Path, capsys) -> None:
     first, second = tmp_path / "a.zip", tmp_path / "b.zip"
     assert verb("backup", places.root, str(first)) == 0

@@ -394,7 +394,14 @@ ARGUMENTS = [
         "0.012 is outside its limits 0.5 to 500 mm; if the value is in m, write 12",
     ),
     (["goal", "50", "-20", "90", "--tolerance", "0.001", "0.02"], "must be 0.01 to 100 mm"),
-    (["evaluate", "--model", "physics", "--object", TRUTH], "is a file of another kind: it has no"),
+    (
+        ["evaluate", "--model", "physics", "--object", TRUTH],
+        "is a file of another kind, with the k",
+    ),
+    (
+        ["evaluate", "--model", "physics", "--object", "cell.yaml"],
+        "another kind, with the keys name",
+    ),
     (["goal", "--layout", "LAYOUT"], "'goals[0]' and 'goals[1]' are both for the object 'a'"),
 ]
 
