@@ -137,7 +137,8 @@ class CameraModel:
                     )
                 raise CameraError(
                     f"number {index} (from 0) of the camera matrix is {k[index]:g}, but must be "
-                    f"{value:g}: a matrix with skew or another scale is not supported"
+                    f"{value:g}: a matrix with skew or another scale is not supported; calibrate "
+                    "again with the model plumb_bob or rational_polynomial"
                 )
         return cls(
             int(width),
