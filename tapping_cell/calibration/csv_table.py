@@ -1,15 +1,15 @@
 """Strict reading of measurements from CSV files; every error names file and row.
 
-The first line that is not a comment (``#``) names the columns. A column is in SI units unless its
-name ends in another unit: ``x`` and ``x_m`` are in m, ``x_mm`` in mm, ``shoulder_deg`` in degrees.
-Cells are separated by commas, semicolons, tabs or vertical bars, numbers have decimal points or
-decimal commas, and thousands may be separated. The separator is the one that gives the wanted
-columns; the decimal mark is the one with which every number of the file can be read. If both marks
-fit and give different values, the file is rejected. A row in which a cell is not a number or is out
-of range is rejected and listed in ``faults``. If many rows are out of range or contain damaged
-numbers, such as those that a spreadsheet turned into dates, the file is rejected, and the message
-suggests another unit or the cause. Other columns are ignored. Rows are numbered as in a text
-editor: the first line of the file is row 1.
+The first line that is not a comment (``#``) names the columns, or the last comment above it. A
+column is in SI units unless its name ends in another unit: ``x`` and ``x_m`` are in m, ``x_mm`` in
+mm, ``shoulder_deg`` in degrees. Cells are separated by commas, semicolons, tabs, vertical bars or
+spaces, numbers have decimal points or decimal commas, and thousands may be separated. The separator
+is the one that gives the wanted columns; the decimal mark is the one with which every number of the
+file can be read. If both marks fit and give different values, the file is rejected. A row in which
+a cell is not a number or is out of range is rejected and listed in ``faults``. If many rows are out
+of range or contain damaged numbers, such as those that a spreadsheet turned into dates, the file is
+rejected, and the message suggests another unit or the cause. Other columns are ignored. Rows are
+numbered as in a text editor: the first line of the file is row 1.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ RECORDS = {
     "calibrate mounts": ("tapper", "speed", "x_before", "y_before"),
 }
 """Required columns that show for which verb a record was made."""
-_SEPARATORS = ",;\t|"
+_SEPARATORS = ",;\t| "
 _SPACE = "[ \u00a0\u2009\u202f'\u2019]"
 
 
@@ -274,31 +274,40 @@ def _lines(
 ) -> tuple[str, list[tuple[int, list[str]]]]:
     """Return the separator, and row number and cells of each line that is neither empty nor a
     comment; the first such line is the header."""
-    lines = [
-        (number, line)
-        for number, line in enumerate(_text(path).split("\n"), start=1)
-        if line.strip() and (not line.lstrip().startswith("#") or _EXCEL_ERROR.match(line.lstrip()))
-    ]
+    filled = [(n, one) for n, one in enumerate(_text(path).split("\n"), start=1) if one.strip()]
+    lines = [(number, line) for number, line in filled if not _is_comment(line)]
     separators = _SEPARATORS
     if lines and (told := re.fullmatch('"?sep=(.)"?', lines[0][1].strip(" "), re.IGNORECASE)):
         separators = told[1]
         del lines[0]
     if not lines:
         raise RecordError(f"{path}: is empty; its first line must name the columns")
-    readings, refusal = [], RecordError()
+    comments = [
+        (n, c.lstrip("# ")) for n, c in filled if n < lines[0][0] and re.match('#[^"]*$', c)
+    ]
+    readings: list[tuple[tuple[bool, int, int, int], str, list[tuple[int, list[str]]]]] = []
+    refusal = RecordError()
     for separator in separators:
+        if separator == " " and any(complete for (complete, *_), *_ in readings):
+            break  # the spaces are around other separators
         try:
             read = _split(path, lines, separator)
+            if comments and not _names_all(read[0][1], columns):
+                below = _split(path, [comments[-1], *lines], separator)
+                # numpy.savetxt writes the names of the columns as a comment.
+                read = below if _names_all(below[0][1], columns) else read
         except RecordError as error:
             refusal = refusal if refusal.args else error
             continue
         header = read[0][1]
         named = [any(name in header for name in column.headers()) for column in columns]
         complete = _names_all(header, columns)
+        whole = sum(len(row) == len(header) for _, row in read)
+        if separator == " " and not (complete and 2 * whole > len(read)):
+            break
         title = next((row for row, cells in read[1:] if _names_all(cells, columns)), 0)
         if title and not complete:
             raise RecordError(f"{path}: row {title} names the columns; delete the lines above it")
-        whole = sum(len(row) == len(header) for _, row in read)
         known = sum(named) + sum(name in header for name in texts)
         readings.append(((complete, known, whole, len(header)), separator, read))
     if not readings:
@@ -312,6 +321,11 @@ def _lines(
                 f"separator in a first line, such as sep={separator}"
             )
     return separator, read
+
+
+def _is_comment(line: str) -> bool:
+    start = line.lstrip()
+    return start.startswith("#") and not _EXCEL_ERROR.match(start)
 
 
 def _names_all(cells: Sequence[str], columns: Sequence[Column]) -> bool:

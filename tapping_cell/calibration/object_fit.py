@@ -41,7 +41,7 @@ from tapping_cell.calibration.slide_curves import TORQUE_FACTORS, SlideCurves
 from tapping_cell.calibration.sliding_fit import SlideFit, fit_slides
 from tapping_cell.calibration.trials import LeftOut
 from tapping_cell.configuration.objects import GRAVITY, ObjectFile
-from tapping_cell.mechanics import Body, Polygon, Striker
+from tapping_cell.mechanics import Body, InvalidParameterError, Polygon, Striker
 from tapping_cell.se2 import Array
 
 _OUTLIER = 6.0  # robust standard deviations
@@ -114,7 +114,13 @@ def fit_object(experiments: Sequence[Experiment], content: ObjectFile, seed: int
     estimates = slide_estimates(slide, numbers, content, seed)
     striker = _striker(experiments)
     sentences: list[str] = []
-    impacts = _fit_impact(used, slide, content, striker, sentences)
+    try:
+        impacts = _fit_impact(used, slide, content, striker, sentences)
+    except InvalidParameterError as error:
+        raise RecordError(
+            f"the impacts do not suit the shape and the mass of '{content.name}': {error} Check "
+            "that it is the object that was tapped, and the angles in the records"
+        ) from error
     by_tapping = _tapped(used, slide, impacts, body)
     found = None
     misfits: tuple[Misfit, ...] = ()
@@ -167,7 +173,8 @@ def _check_range(slide: SlideFit) -> None:
         raise RecordError(
             f"the best torque factor, {slide.torque_factor:.3g} with a friction of "
             f"{slide.friction:.3g}, is at the limit of its range ({low:g} to {high:g}): the "
-            "units of displacement, rotation or spin, or the radius in the object file, are wrong"
+            "units of displacement, rotation or spin, the sign of the rotation (counter-clockwise "
+            "is positive), or the radius in the object file, are wrong"
         )
 
 

@@ -56,8 +56,18 @@ def finite(text: str) -> float:
     except ValueError:
         number = math.nan
     if not math.isfinite(number):
-        raise argparse.ArgumentTypeError(f"'{text}' is not a finite number{number_hint(text)}")
+        raise argparse.ArgumentTypeError(f"'{text}' is not a finite number{_hint(text)}")
     return number
+
+
+def _hint(text: str) -> str:
+    """Return a hint at why an argument is no number; empty if nothing is recognised. The unit of an
+    option, which may be a percentage, is in its help."""
+    parts = text.split(",")
+    several = len(parts) > 2 or parts[-1][:1] in ("-", "+")
+    if several and all(re.fullmatch(r"[-+]?[0-9]*\.?[0-9]+", part) for part in parts):
+        return f"; separate the numbers by spaces: {' '.join(parts)}"
+    return number_hint(text, "the unit that --help states")
 
 
 def within(lowest: float, highest: float, unit: str = "") -> Callable[[str], float]:
@@ -91,7 +101,10 @@ def whole_number(text: str) -> int:
     try:
         return int(text)
     except ValueError:
-        hint = number_hint(text)
+        number = float(text) if re.fullmatch(r"[0-9]+(\.[0-9]*)?([eE][0-9]+)?", text) else None
+        hint = _hint(text) if number is None else ""
+        if number is not None and number.is_integer():
+            hint = f"; write {number:.0f}"
         raise argparse.ArgumentTypeError(f"'{text}' is not a whole number{hint}") from None
 
 

@@ -25,8 +25,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the verb. Return 0 if the archive was written, 1 if it could not be written, 2 if no cell
-    is deployed."""
+    is deployed or the file is a folder."""
     path = arguments.file.expanduser()
+    if path.is_dir():
+        print_error(f"{path} is a folder; give the name of a zip file in it")
+        return ExitStatus.REFUSED
     try:
         count = write_archive(path, Places(arguments.name, arguments.root))
     except ArchiveError as error:

@@ -38,6 +38,7 @@ from tapping_cell.configuration.objects import ObjectFile, load_object
 from tapping_cell.configuration.problems import problems_of
 from tapping_cell.configuration.schema import ConfigurationError, read_yaml
 from tapping_cell.configuration.table import (
+    CAMERA_KEYS,
     TableFile,
     camera_warning,
     load_camera_model,
@@ -55,14 +56,8 @@ SECTIONS: dict[str, type] = {
     "layout": LayoutFile,
 }
 CAMERA_INFO, PARAMETERS = "camera_info", "parameters"
-CAMERA_KEYS = {
-    "image_width",
-    "image_height",
-    "camera_matrix",
-    "distortion_model",
-    "distortion_coefficients",
-}
 KINDS = (*SECTIONS, CAMERA_INFO, PARAMETERS)
+EVERY_NODE = ("**", "*")
 NODES = (*dict.fromkeys((*SIMULATED, *HARDWARE, RECORDER)), "operator_page")
 
 
@@ -253,7 +248,8 @@ def recognise(document: Any) -> str | None:
     if not isinstance(document, Mapping) or not document:
         return None
     keys = set(document)
-    if all(_holds_parameters(value) for value in document.values()):
+    nodes = {str(key).rsplit("/", 1)[-1] for key in keys} <= {*NODES, *EVERY_NODE}
+    if nodes or all(_holds_parameters(value) for value in document.values()):
         return PARAMETERS
     names = {kind: _keys_of(kind) for kind in (*SECTIONS, CAMERA_INFO)}
     shares = sorted(
@@ -274,7 +270,7 @@ def _keys_of(kind: str) -> set[str]:
     of nodes."""
     section = SECTIONS.get(kind)
     if section is None:
-        return CAMERA_KEYS if kind == CAMERA_INFO else set()
+        return set(CAMERA_KEYS) if kind == CAMERA_INFO else set()
     return {field.name for field in dataclasses.fields(section)}
 
 
@@ -293,10 +289,10 @@ def check_parameters(document: Any, path: Path) -> list[str]:
 
     Parameters under ``/**`` apply to every node, so every node must declare them.
     """
-    if recognise(document) != PARAMETERS:
+    if not isinstance(document, Mapping) or not all(map(_holds_parameters, document.values())):
         return [
             f"{path}: is not a ROS parameter file, which contains node names with "
-            "'ros__parameters' under each"
+            "'ros__parameters' (two underscores) under each"
         ]
     nodes, misplaced = _by_node(document)
     found = [
@@ -306,17 +302,17 @@ def check_parameters(document: Any, path: Path) -> list[str]:
     for name, values in nodes:
         node = name.rsplit("/", 1)[-1]
         source = f"{path}: {name}"
-        if node not in (*NODES, "**", "*"):
+        if node not in (*NODES, *EVERY_NODE):
             found.append(f"{source}: no node has this name; the nodes are {', '.join(NODES)}")
             continue
         if not isinstance(values, Mapping):
             found.append(f"{source}: 'ros__parameters' must be a mapping of names to values")
             continue
         own = {key: v for key, v in values.items() if not str(key).startswith(FOREIGN_PREFIXES)}
-        for known in NODES if node in ("**", "*") else (node,):
+        for known in NODES if node in EVERY_NODE else (node,):
             module = importlib.import_module(MODULES[known])
             sentences = problems_of(module.Parameters, own, source)
-            found += [f"{s} (the node {known})" if node in ("**", "*") else s for s in sentences]
+            found += [f"{s} (the node {known})" if node in EVERY_NODE else s for s in sentences]
     return found
 
 

@@ -41,6 +41,7 @@ from tapping_cell.report.run_folder import (
     SUMMARY,
     RunError,
     read_run,
+    summary,
     write_folder,
     write_illustrated_run,
 )
@@ -77,6 +78,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.video is not None:
         return _video(arguments.runs, arguments.video, console)
     reports: list[tuple[Run, Path]] = []
+    known: dict[str, Path] = {}
     skipped = 0
     several = len(arguments.runs) > 1
     with progress("runs", len(arguments.runs)) as advance:
@@ -88,14 +90,29 @@ def run(arguments: argparse.Namespace) -> int:
                     f"{path} is not a run: skipped", highlight=False, markup=False, soft_wrap=True
                 )
                 continue
+            if path.is_file() and no_run(path):
+                print_error(f"{path} is not a bag (.mcap); give the folder of the run")
+                continue
             inner = _runs_in(path)
             if inner:
                 print_error(f"{path} is no run folder, but contains {len(inner)}; give {path}/*")
                 continue
             try:
-                reports.append(write_report(path, None if several else arguments.output))
+                report = write_report(path, None if several else arguments.output)
             except (BagError, RunError, OSError) as error:
                 print_error(str(error))
+                continue
+            first = known.setdefault(_content(report[0]), path)
+            if first is not path:
+                skipped += 1
+                console.print(
+                    f"{path} is the same run as {first}: counted once",
+                    highlight=False,
+                    markup=False,
+                    soft_wrap=True,
+                )
+                continue
+            reports.append(report)
     if not reports:
         if skipped == len(arguments.runs):
             print_error("none of these is a run folder; give folders such as those in runs")
@@ -152,6 +169,11 @@ def no_run(path: Path) -> bool:
     if path.is_file():
         return path.suffix != ".mcap"
     return _is_run_folder(path) and not any((path / name).exists() for name in (BAG, SUMMARY))
+
+
+def _content(run: Run) -> str:
+    """Return a text that is the same for copies of a run."""
+    return json.dumps(summary(dataclasses.replace(run, name="")))
 
 
 def _runs_in(path: Path) -> list[Path]:

@@ -45,6 +45,7 @@ def conflicts(cell: Cell) -> tuple[list[str], list[str]]:
     errors = [*_markers(cell), *_heights(cell), *_joints(cell), *_curve(cell), *_planner(cell)]
     errors += [*_too_fast(cell), *_further_objects(cell), *port_errors(cell)]
     warnings = [*_noise(cell), *_missing_ports(cell), *_brake(cell), *_placing(cell)]
+    warnings += _exchanged(cell)
     reach_errors, reach_warnings = _reach(cell)
     return errors + reach_errors, [*warnings, *reach_warnings, *chain_reach(cell)]
 
@@ -154,6 +155,26 @@ def _too_fast(cell: Cell) -> Iterator[str]:
                     f"end of the stretched arm with {value * reach:.0f} m{unit} (limit {limit:g}); "
                     f"if the values are in deg{unit}, write {math.radians(value):.4g} here"
                 )
+
+
+def _exchanged(cell: Cell) -> Iterator[str]:
+    """Find pairs of speeds and accelerations that make sense only after they are exchanged."""
+    arm = cell.arm
+    speeds, accelerations = np.array(arm.max_speed), np.array(arm.max_acceleration)
+    travel = np.array(arm.upper) - np.array(arm.lower)
+    # A joint that accelerates over half its travel reaches the speed sqrt(acceleration x travel).
+    if np.sum(speeds**2 > accelerations * travel) > 1 and np.all(
+        accelerations**2 <= speeds * travel
+    ):
+        yield (
+            f"{cell.path}: with 'arm.max_acceleration', joints never reach 'arm.max_speed' within "
+            "their limits; these two keys seem to be exchanged"
+        )
+    if arm.near_speed > arm.travel_speed:
+        yield (
+            f"{cell.path}: 'arm.near_speed' ({arm.near_speed:g}), for the slow moves, is more than "
+            f"'arm.travel_speed' ({arm.travel_speed:g}); these two keys seem to be exchanged"
+        )
 
 
 def _placing(cell: Cell) -> Iterator[str]:

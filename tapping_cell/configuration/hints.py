@@ -19,6 +19,7 @@ _PLAIN = str.maketrans(
     | dict.fromkeys(_INVISIBLE, "")
 )
 _NUMBER = r"[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?"
+_GROUPED = r"[-+]?[0-9]{1,3}([ ,.'][0-9]{3})+([.,][0-9]+)?"
 _MONTH = "(jan|feb|mar|m\u00e4r|mrz|apr|ma[iy]|jun|jul|aug|sep|o[ck]t|nov|de[cz])[a-z]*"
 _DATE = re.compile(
     rf"[0-9]{{1,4}}[-./ ]+{_MONTH}\.?([-./ ]+[0-9]{{1,4}})?"
@@ -30,6 +31,7 @@ _DATE = re.compile(
 """What spreadsheets make of numbers such as 1.2 or 3-5."""
 _OTHER_UNITS = {
     "m": (("mm", 1e-3), ("cm", 1e-2), ("inches", 0.0254)),
+    "mm": (("m", 1e3), ("cm", 10.0), ("inches", 25.4)),
     "rad": (("deg", math.pi / 180.0),),
     "kg": (("g", 1e-3),),
     "J": (("mJ", 1e-3),),
@@ -85,6 +87,8 @@ def number_hint(text: str, unit: str = "") -> str:
         )
     odd = character_hint(text)
     plain = plain_characters(text).strip().strip("\"'").strip()
+    if re.fullmatch(rf"{_NUMBER}(\s+{_NUMBER})+", plain) and not re.fullmatch(_GROUPED, plain):
+        return "; put commas between the numbers"
     if re.fullmatch(_NUMBER, plain):
         return f"{odd}: {plain}" if odd else f"; remove the quotes: {plain}"
     if re.fullmatch(r"[-+]?[0-9]*,[0-9]+(?:[eE][-+]?[0-9]+)?", plain):
@@ -92,7 +96,7 @@ def number_hint(text: str, unit: str = "") -> str:
         if re.fullmatch(r"[-+]?[1-9][0-9]{0,2},[0-9]{3}", plain):
             return f"; write {point} or {plain.replace(',', '')}, without a comma"
         return f"; write a decimal point: {point}"
-    if re.fullmatch(r"[-+]?[0-9]{1,3}([ ,.'][0-9]{3})+([.,][0-9]+)?", plain):
+    if re.fullmatch(_GROUPED, plain):
         return "; write the number without separators between thousands, and a decimal point"
     if (found := re.fullmatch(rf"({_NUMBER})\s*%", plain)) and not unit:
         return f"; write {float(found[1]) / 100:.6g}"

@@ -33,6 +33,8 @@ class ConfigurationError(ValueError):
     """A configuration file that cannot be used; the message names file, key, value and range."""
 
 
+MOST_KEYS = 20
+"""Maximum number of keys from which the kind of a file is recognised."""
 LONGEST_SHOWN = 60
 """Maximum number of characters of an invalid text that an error message shows."""
 
@@ -137,10 +139,10 @@ def _similar_path(path: Path) -> str:
     if as_on_linux != path and as_on_linux.is_file():
         return f"; did you mean '{as_on_linux}'?"
     try:
-        files = [] if path.exists() else [file.name for file in path.parent.iterdir()]
+        near = [] if path.exists() else [*path.parent.iterdir(), *path.parent.glob("*/*.y*ml")]
     except OSError:
         return ""
-    return did_you_mean(path.name, files)
+    return did_you_mean(path.name, (str(file.relative_to(path.parent)) for file in near))
 
 
 def load(kind: type[Section], path: Path | str) -> Section:
@@ -150,7 +152,16 @@ def load(kind: type[Section], path: Path | str) -> Section:
         ConfigurationError: the file is invalid; the message names file, key, value and range.
     """
     path = Path(path)
-    return build(kind, read_yaml(path), source=str(path))
+    document = read_yaml(path)
+    fields = [entry.name for entry in dataclasses.fields(kind)]  # type: ignore[arg-type]
+    keys = list(document)[:MOST_KEYS] if isinstance(document, Mapping) else []
+    if 2 * sum(bool(did_you_mean(name, fields)) for name in keys) < len(keys):
+        shown = ", ".join(str(name)[:40] for name in keys)
+        raise ConfigurationError(
+            f"{path}: is a file of another kind, with the keys {shown}; those needed here are "
+            f"{', '.join(fields)}; correct the path"
+        )
+    return build(kind, document, source=str(path))
 
 
 def build(kind: type[Section], document: Any, source: str, key: str = "") -> Section:
@@ -166,9 +177,13 @@ def build(kind: type[Section], document: Any, source: str, key: str = "") -> Sec
     for name in document:
         if name not in fields:
             known = ", ".join(fields)
+            inner = isinstance(document[name], Mapping)
+            choices = [own for own in fields if not inner or _is_section(hints[own])]
             meant = (
-                did_you_mean(name, fields) or _place_of(name, hints) or character_hint(str(name))
+                did_you_mean(name, choices) or _place_of(name, hints) or character_hint(str(name))
             )
+            if inner and key and not meant:
+                meant = "; if it is a section beside this one, indent it less"
             raise ConfigurationError(
                 f"{source}: unknown key '{_join(key, name)}'{meant}; the keys here are {known}"
             )
@@ -189,6 +204,12 @@ def build(kind: type[Section], document: Any, source: str, key: str = "") -> Sec
         raise
     except ValueError as error:
         raise ConfigurationError(f"{source}: {key or 'the document'}: {error}") from error
+
+
+def _is_section(hint: Any) -> bool:
+    """Return whether a field of this type holds a section or a mapping of names to values."""
+    kinds = (hint, *typing.get_args(hint))
+    return any(dataclasses.is_dataclass(k) or typing.get_origin(k) is Mapping for k in kinds)
 
 
 def _place_of(name: object, hints: Mapping[str, Any]) -> str:
@@ -327,6 +348,9 @@ def _hint(value: Any, wanted: str, limits: Limits) -> str:
         return number_hint(value, limits.unit) if limits.numeric else character_hint(value)
     if isinstance(value, Mapping) and wanted.startswith("a list"):
         return "; begin each entry with '- '"
+    if isinstance(value, list) and wanted.startswith("a list"):
+        texts = (number_hint(entry) for entry in value if isinstance(entry, str))
+        return next((hint for hint in texts if hint), "") if limits.numeric else ""
     if isinstance(value, (int, float)) and not isinstance(value, bool):
         if wanted.startswith("a list"):
             return "; put the numbers that belong together in brackets: [...]"

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from tapping_cell.configuration.hints import number_hint
 from tapping_cell.configuration.provenance import Provenance
 from tapping_cell.configuration.schema import (
     ConfigurationError,
@@ -126,6 +127,10 @@ def load_camera_model(path: Path | str) -> CameraModel:
         raise ConfigurationError(
             f"{path}: must be a mapping of keys to values, as ROS's camera_calibration writes it"
         )
+    if "markers" in document:
+        raise ConfigurationError(
+            f"{path}: is a table file, but a camera_info file is needed here; correct the path"
+        )
     try:
         camera = CameraModel.from_camera_info(
             width=_pixels(document, "image_width"),
@@ -140,6 +145,12 @@ def load_camera_model(path: Path | str) -> CameraModel:
         raise ConfigurationError(f"{path}: {error}") from error
 
 
+CAMERA_KEYS = (
+    *("image_width", "image_height", "camera_matrix"),
+    *("distortion_model", "distortion_coefficients"),
+)
+"""Keys of a camera_info file that must be there."""
+IGNORED_KEYS = ("camera_name", "rectification_matrix", "projection_matrix", "calibration")
 MOST_OFF_CENTRE = 0.12
 """Maximum distance of the principal point from the image's centre, as a fraction of the image's
 width or height."""
@@ -210,6 +221,9 @@ def check_camera(camera: CameraModel) -> None:
 
 def _entry(mapping: dict[str, Any], key: str, within: str = "") -> Any:
     if key not in mapping:
+        others = [name for name in mapping if name not in (*CAMERA_KEYS, *IGNORED_KEYS)]
+        if not within and len(others) == 1:
+            raise ValueError(f"key '{key}' is missing; if '{others[0]}' is meant, rename it")
         raise ValueError(
             f"key '{within}{key}' of a camera_info file is missing; write the file with `calibrate "
             "camera` or ROS's camera_calibration, or name the values as in the package's "
@@ -236,19 +250,21 @@ def _numbers(document: dict[str, Any], key: str) -> list[float]:
         raise ValueError(f"key '{key}.data' is {data!r}, but must be a list of numbers")
     if any(isinstance(value, list) for value in data):
         raise ValueError(f"key '{key}.data' contains lists; write all its numbers in one list")
+    numbers = [_number(value, f"{key}.data[{index}]") for index, value in enumerate(data)]
     rows, columns = (matrix.get(name, 0) for name in ("rows", "cols"))
     if isinstance(rows, int) and isinstance(columns, int) and rows * columns not in (0, len(data)):
         raise ValueError(
             f"key '{key}' has {rows} rows and {columns} cols, but {len(data)} numbers in 'data'; "
             "correct one of them"
         )
-    return [_number(value, f"{key}.data[{index}]") for index, value in enumerate(data)]
+    return numbers
 
 
 def _number(value: Any, key: str) -> float:
     """Return the value of a key as a finite number."""
     if isinstance(value, bool) or not isinstance(value, (int, float)):
-        raise ValueError(f"key '{key}' is {value!r}, but must be a number")
+        hint = number_hint(value) if isinstance(value, str) else ""
+        raise ValueError(f"key '{key}' is {value!r}, but must be a number{hint}")
     try:
         number = float(value)
     except OverflowError as error:

@@ -23,6 +23,8 @@ MOST_VALUES = 100_000
 
 _INTEGER = re.compile(r"[-+]?[0-9]+")
 _FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?|[-+]?\.(inf|Inf|INF)")
+_NO_SPACE = re.compile(r"\s*(- +)?\w+:[^\s:/]")
+"""A key whose colon has no space behind it, at the beginning of a line or in braces."""
 _NAN = (".nan", ".NaN", ".NAN")
 _WORDS = {
     **dict.fromkeys(("", "~", "null", "Null", "NULL")),
@@ -75,8 +77,18 @@ def parse_yaml(text: str) -> Any:
         lines = text.split("\n")[max(0, line - 1) : line + 1]
         raise YamlError(
             f"malformed YAML at line {line + 1}, column {mark.column + 1}: {problem}"
-            + character_hint("\n".join(lines), tabs=True)
+            + (character_hint("\n".join(lines), tabs=True) or _colon_hint(lines, text))
         ) from error
+
+
+def _colon_hint(lines: list[str], text: str) -> str:
+    """Return a hint at a colon that is missing or has no space behind it; empty if there is
+    none."""
+    joined = next((line.strip() for line in lines if _NO_SPACE.match(line)), "")
+    if joined:
+        return f"; write a space after the colon in '{joined[:40]}'"
+    equals = re.search(r"^\s*\w+ *= *\S", text, re.MULTILINE)
+    return f"; write 'key: value', not '{equals[0].strip()}...'" if equals else ""
 
 
 class _Dumper(yaml.SafeDumper):
@@ -157,7 +169,10 @@ class _Document:
                 first = f"the key '{key}' appears twice, first in line {lines[key]}"
                 raise _error(f"{first}; delete one of them", event)
             lines[key] = getattr(event.start_mark, "line", 0) + 1
-            values[key] = self._value(next(self._events), depth + 1)
+            content = next(self._events)
+            if _is_empty(content) and _NO_SPACE.match(str(key)):
+                raise _error(f"'{key}' needs a space after its colon", event)
+            values[key] = self._value(content, depth + 1)
         return values
 
     def _list(self, start: Any, depth: int) -> list[Any]:

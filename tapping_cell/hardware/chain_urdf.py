@@ -53,19 +53,13 @@ def chain_from_urdf(
         name, count = Counter(names).most_common(1)[0] if names else ("", 0)
         if count > 1:
             raise ValueError(f"the {kind} {name} appears {count} times; each must be unique")
-    by_child = {_link(joint, "child"): joint for joint in joint_elements}
-    path: list[ElementTree.Element] = []
-    link = tip_link
-    while link != base_link:
-        joint = by_child.get(link)
-        if joint is None or len(path) > len(by_child):
-            known = sorted({entry.get("name", "") for entry in robot.findall("link")})
-            raise ValueError(
-                f"no joints lead from link {base_link} to {tip_link}; its links are"
-                f" {', '.join(known)}"
-            )
-        path.insert(0, joint)
-        link = _link(joint, "parent")
+    path = _path(joint_elements, base_link, tip_link)
+    if path is None:
+        known = sorted({entry.get("name", "") for entry in robot.findall("link")})
+        hint = f"its links are {', '.join(known)}"
+        if _path(joint_elements, tip_link, base_link):
+            hint = "base_link and tip_link seem to be exchanged"
+        raise ValueError(f"no joints lead from link {base_link} to {tip_link}; {hint}")
     found, before = [], np.eye(4)
     for joint in path:
         before = before @ _origin(joint)
@@ -84,6 +78,22 @@ def chain_from_urdf(
             f" arm.ros2_control.joints are {', '.join(joints)}: give them in this order"
         )
     return SerialChain(tuple(found), base, before @ tool)
+
+
+def _path(
+    joints: Sequence[ElementTree.Element], base_link: str, tip_link: str
+) -> list[ElementTree.Element] | None:
+    """Return the joints that lead from one link to another; None if there is no such path."""
+    by_child = {_link(joint, "child"): joint for joint in joints}
+    path: list[ElementTree.Element] = []
+    link = tip_link
+    while link != base_link:
+        joint = by_child.get(link)
+        if joint is None or len(path) > len(by_child):
+            return None
+        path.insert(0, joint)
+        link = _link(joint, "parent")
+    return path
 
 
 def _check_on_chain(
@@ -157,10 +167,14 @@ def _joint(joint: ElementTree.Element, origin: Array) -> ChainJoint:
         raise ValueError(f"joint {name} has an axis of length 0")
     x, y, z = axis / length
     ends = (-math.tau, math.tau)
+    lower, upper = _limit(joint, "lower"), _limit(joint, "upper")
+    if not bounded and lower < upper:
+        # The URDF's definition ignores them, but an arm whose cable cannot turn further needs them.
+        ends = max(-math.tau, lower), min(math.tau, upper)
     if bounded:
         if limit.get("lower") is None and limit.get("upper") is None:
             raise ValueError(f"joint {name} has no lower and upper limit; both are required")
-        ends = _limit(joint, "lower"), _limit(joint, "upper")
+        ends = lower, upper
         for key, end in zip(("lower", "upper"), ends, strict=True):
             if prismatic:
                 _check_size(joint, "limit", key, end, LONGEST, "m", "mm")

@@ -154,10 +154,11 @@ class PlannerSettings:
                 f"the camera is {camera!r}; give CameraNoise(position, angle), m, rad"
             )
         if camera.position > LARGEST_NOISE or camera.angle > LARGEST_ANGLE_NOISE:
+            angle, most = math.degrees(camera.angle), math.degrees(LARGEST_ANGLE_NOISE)
             raise PlanningError(
-                f"the camera noise is {camera.position:g} m and {camera.angle:g} rad; the limits "
-                f"are {LARGEST_NOISE:g} m and {LARGEST_ANGLE_NOISE:g} rad; give m and rad, not mm "
-                "and degrees"
+                f"the camera noise is {1e3 * camera.position:g} mm and {angle:g} degrees; the "
+                f"limits are {1e3 * LARGEST_NOISE:g} mm and {most:.3g} degrees; check the unit (m "
+                "and rad in Python, mm and degrees in options)"
             )
         if self.box is not None:
             _check_range(self, "box", 0.05, 1.0, "(share of the tolerance)")

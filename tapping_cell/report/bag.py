@@ -19,32 +19,41 @@ from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from rosbags.interfaces import (
-    Connection,
-    Qos,
-    QosDurability,
-    QosHistory,
-    QosLiveliness,
-    QosReliability,
-    QosTime,
-)
-from rosbags.rosbag2 import StoragePlugin, Writer
-from rosbags.rosbag2.enums import CompressionFormat, CompressionMode
-from rosbags.rosbag2.errors import ReaderError
-from rosbags.rosbag2.storage_mcap import (  # type: ignore[attr-defined]
-    McapWriter,
-    decompress,
-    zstd,
-)
-from rosbags.serde.errors import SerdeError
-from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
-from rosbags.typesys.base import TypesysError
-from rosbags.typesys.store import Typestore
-
 from tapping_cell.configuration.schema import ConfigurationError, read_yaml
 from tapping_cell.durable_file import sync_folder
 from tapping_cell.report.message_types import MessageTypes
-from tapping_cell.report.recorded import DEFAULT, Bag, BagError, Quality, Recorded, Topic
+from tapping_cell.report.recorded import (
+    DEFAULT,
+    Bag,
+    BagError,
+    Quality,
+    Recorded,
+    Topic,
+    needing_rosbags,
+)
+
+with needing_rosbags():
+    from rosbags.interfaces import (
+        Connection,
+        Qos,
+        QosDurability,
+        QosHistory,
+        QosLiveliness,
+        QosReliability,
+        QosTime,
+    )
+    from rosbags.rosbag2 import StoragePlugin, Writer
+    from rosbags.rosbag2.enums import CompressionFormat, CompressionMode
+    from rosbags.rosbag2.errors import ReaderError
+    from rosbags.rosbag2.storage_mcap import (  # type: ignore[attr-defined]
+        McapWriter,
+        decompress,
+        zstd,
+    )
+    from rosbags.serde.errors import SerdeError
+    from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
+    from rosbags.typesys.base import TypesysError
+    from rosbags.typesys.store import Typestore
 
 _MAGIC = b"\x89MCAP0\r\n"
 _HEADER, _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK = 1, 2, 3, 4, 5, 6
@@ -178,11 +187,9 @@ def bag_file(path: Path) -> Path:
         return path
     files = sorted(path.glob("*.mcap"))
     if len(files) != 1:
-        found = str(len(files)) if files else "none"
-        joined = "; join them with `ros2 bag convert`" if files else ""
-        raise BagError(
-            f"{path} must be an .mcap file, or a folder with exactly one; found {found}{joined}"
-        )
+        remedy = "give one of them, or join the parts of one run with `ros2 bag convert`"
+        found = f"{len(files)}; {remedy}" if files else "none"
+        raise BagError(f"{path} must be an .mcap file, or a folder with exactly one; found {found}")
     return files[0]
 
 

@@ -5,13 +5,15 @@ from __future__ import annotations
 
 from typing import cast
 
-from rosbags.interfaces import Nodetype
-from rosbags.interfaces.typing import Fielddefs
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-from rosbags.typesys.base import TypesysError
-from rosbags.typesys.store import Typestore
-
 from tapping_cell.report.message_files import UnknownMessageType, definition_file
+from tapping_cell.report.recorded import needing_rosbags
+
+with needing_rosbags():
+    from rosbags.interfaces import Nodetype
+    from rosbags.interfaces.typing import Fielddefs
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+    from rosbags.typesys.base import TypesysError
+    from rosbags.typesys.store import Typestore
 
 
 class MessageTypes:

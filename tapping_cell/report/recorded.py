@@ -2,12 +2,25 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-NO_BAGS = "the Python package rosbags is not installed: call  pip install rosbags"
+NO_BAGS = (
+    "the Python package rosbags is missing or damaged: call  pip install --force-reinstall rosbags"
+)
+
+
+@contextlib.contextmanager
+def needing_rosbags() -> Iterator[None]:
+    """Convert each exception of an import of rosbags to ModuleNotFoundError; a package that is
+    damaged or does not suit its own requirements can raise any."""
+    try:
+        yield
+    except Exception as error:
+        raise ModuleNotFoundError(NO_BAGS, name="rosbags") from error
 
 
 class BagError(ValueError):

@@ -35,9 +35,11 @@ class Track:
 
     @classmethod
     def of(cls, poses: Poses) -> Track:
-        """Return the track of poses in order of time, without those that their neighbours imply."""
+        """Return the track of poses, without those that their neighbours imply. The poses may be in
+        another order than their times: a bag is in order of reception."""
         rows = np.array([(at, *pose) for at, pose in poses if math.isfinite(pose.x)])
         rows = rows.reshape(-1, 4)
+        rows = rows[np.argsort(rows[:, 0], kind="stable")]
         rows = rows[np.diff(rows[:, 0], prepend=-np.inf) > 0]
         rows[:, 3] = np.unwrap(rows[:, 3])
         if len(rows) > 2:

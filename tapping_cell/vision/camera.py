@@ -57,10 +57,12 @@ class CameraModel:
     def __post_init__(self) -> None:
         """Raise CameraError, with the value, if the parameters do not describe a camera."""
         if self.distortion_model not in _LENGTHS:
-            raise CameraError(
-                f"distortion_model is {self.distortion_model!r}; calibrate again with plumb_bob or "
-                "rational_polynomial, the only supported models"
+            remedy = (
+                "calibrate again with plumb_bob or rational_polynomial, the only supported models"
             )
+            if self.distortion_model == "radtan":  # Kalibr's name
+                remedy = "write plumb_bob, which is the same model"
+            raise CameraError(f"distortion_model is {self.distortion_model!r}; {remedy}")
         lengths = _LENGTHS[self.distortion_model]
         if len(self.distortion) not in lengths:
             allowed = f"{', '.join(map(str, lengths[:-1]))} or {lengths[-1]}"
@@ -135,7 +137,8 @@ class CameraModel:
                     )
                 raise CameraError(
                     f"number {index} (from 0) of the camera matrix is {k[index]:g}, but must be "
-                    f"{value:g}: a matrix with skew or another scale is not supported"
+                    f"{value:g}: a matrix with skew or another scale is not supported; calibrate "
+                    "again with the model plumb_bob or rational_polynomial"
                 )
         return cls(
             int(width),
@@ -259,9 +262,11 @@ class CameraModel:
                 f"one channel (mono8), {self.height} rows of {self.width}"
             )
         if image.shape != (self.height, self.width):
+            turned = image.shape == (self.width, self.height)
+            remedy = "turn it by 90 degrees" if turned else "change the image size"
             return (
                 f"the image is {image.shape[1]} x {image.shape[0]} pixels but the calibration is "
-                f"for {self.width} x {self.height}; calibrate again or change the image size"
+                f"for {self.width} x {self.height}; calibrate again or {remedy}"
             )
         return None
 

@@ -118,6 +118,8 @@ LOW_QUALITY = 50
 """JPEG quality below which a warning is given. In rendered images, the error of the pose is 3 times
 that of an uncompressed image at this quality, and 5 to 13 times below 40."""
 _ORIENTATION_TAG = 0x112
+_PHOTOMETRIC_TAG = 0x106
+"""Tag of a TIFF file; 0 means that white is stored as 0."""
 _STANDARD_TABLE = 3688
 """Sum of the luminance quantisation table in annex K of the JPEG standard (ITU-T T.81)."""
 
@@ -203,7 +205,11 @@ def read_compressed(
         raise ImageRefused(_undecodable(coded, form))
     if samples.dtype not in (np.uint8, np.uint16):
         raise ImageRefused(f"its pixels are of type {samples.dtype}; give 8 or 16 bits per sample")
+    if samples.dtype == np.uint16 and getattr(header, "tag_v2", {}).get(_PHOTOMETRIC_TAG) == 0:
+        samples = 65535 - samples  # OpenCV inverts 8 bits only
     warnings = []
+    if header.format != "MPO" and (count := getattr(header, "n_frames", 1)) > 1:
+        warnings.append(f"the file contains {count} images, of which the first is used")
     if alpha:
         warnings += _transparency(samples, header.format)
     if known is not None and known.sample == 2 and samples.dtype == np.uint8:

@@ -197,7 +197,7 @@ def test_without_rosbags_a_run_has_everything_but_its_bag(tmp_path: Path, monkey
     assert repr(replace(tap, at_rest_at=0.0)) == repr(
         replace(other, at_rest_at=0.0)
     )  # some are NaN
-    with pytest.raises(BagError, match="pip install rosbags"):
+    with pytest.raises(BagError, match="rosbags is missing or damaged"):
         read_illustrated_run(folder / "bag")
 
 

@@ -45,6 +45,7 @@ from tapping_cell.cli.calibration.camera_verb import image_files, one_size
 from tapping_cell.cli.calibration_arguments import add_output_arguments, output_of
 from tapping_cell.cli.image_output import distinct_names
 from tapping_cell.configuration.files import shared_folder
+from tapping_cell.configuration.hints import unit_hint
 from tapping_cell.configuration.provenance import Provenance
 from tapping_cell.configuration.table import load_camera_model, load_reference_map
 from tapping_cell.vision import CameraModel, MarkerError, ReferenceMap
@@ -276,10 +277,12 @@ def _at_distance(references: ReferenceMap, words: list[str]) -> tuple[ReferenceM
         if number not in places:
             raise CalibrationRefused(f"--distance: marker {number} was not detected")
     apart = math.dist(places[first], places[second])
-    if first == second or not 0.8 * apart <= wanted <= 1.25 * apart:
+    least, most = 0.8 * apart, 1.25 * apart
+    if first == second or not least <= wanted <= most:
         raise CalibrationRefused(
             f"--distance: markers {first} and {second} are about {apart * 1e3:.1f} mm apart "
             f"according to their printed size; {wanted * 1e3:g} mm is not plausible"
+            + (unit_hint(1e3 * wanted, "mm", 1e3 * least, 1e3 * most) if first != second else "")
         )
     return scaled(references, wanted / apart), wanted / apart
 

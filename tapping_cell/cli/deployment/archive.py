@@ -125,6 +125,12 @@ def read_archive(path: Path) -> tuple[dict[str, Any], dict[str, str]]:
         with zipfile.ZipFile(path) as archive:
             if sum(entry.file_size for entry in archive.infolist()) > LARGEST:
                 raise ArchiveError(f"{path} is too large for an archive of a cell")
+            if CONTENT not in archive.namelist():
+                packed = any(name.endswith(f"/{CONTENT}") for name in archive.namelist())
+                remedy = "it was packed again with its folder: " if packed else ""
+                raise ArchiveError(
+                    f"{path} is no archive of a cell: {remedy}give the file that backup wrote"
+                )
             content = json.loads(archive.read(CONTENT))
             if not isinstance(content, dict) or not isinstance(content.get("files"), dict):
                 raise ArchiveError(f"{path} has no list of its files")

@@ -104,10 +104,16 @@ def _content(experiments: Sequence[Experiment], path: Path | None) -> ObjectFile
     from tapping_cell.calibration.csv_table import RecordError
     from tapping_cell.configuration.objects import load_object
 
-    if path is not None:
-        return load_object(path.expanduser())
     headers = [entry.header.object for entry in experiments]
     first = headers[0]
+    if path is not None:
+        given = load_object(path.expanduser())
+        if first is not None and first.shape.kind != given.shape.kind:
+            raise RecordError(
+                f"{path} describes a {given.shape.kind}, but the records are of '{first.name}', a "
+                f"{first.shape.kind}; give the file of the object that was tapped"
+            )
+        return given
     if first is None:
         raise RecordError(
             f"{experiments[0].folder}: the header names no object; give --object FILE"

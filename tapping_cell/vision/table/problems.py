@@ -59,6 +59,12 @@ def table_notice(displaced: list[int], doubled: list[int], missed: list[int]) ->
     """
     if displaced:
         names = ", ".join(map(str, displaced))
+        if len(displaced) > 1:
+            return (
+                f"reference markers {names} are not at their positions in the table file; they are "
+                "ignored; if none was moved, the file is wrong, or the calibration does not suit "
+                "the images (are they rectified?)"
+            )
         return f"reference marker {names} is not at its position in the table file; it is ignored"
     if doubled:
         names = ", ".join(map(str, doubled))
@@ -81,6 +87,12 @@ def _contradiction(table: TableTracker) -> str:
             f"the reference markers {names} do not match the table file: after the best fit "
             f"they are off by up to {table.error:.1f} pixels (limit {limit:.1f}); check their "
             "positions, angles and sizes in the file and on the table"
+        )
+    if 2.0 * table.bloom > table.side:  # the fitted length is negative
+        return (
+            f"the reference markers {names} are turned by 180 degrees against the table file, as "
+            "tags are that were printed from AprilTag's own pictures; add 3.14159265 to the theta "
+            "of each of them"
         )
     return (
         f"the apparent side length of the reference markers {names} differs by "

@@ -77,6 +77,8 @@ class TableTracker:
         """Number of reference markers that were measured in the last frame."""
         self.error = 0.0
         self.bloom = 0.0
+        self.side = 0.0
+        """Mean length of the reference markers' sides in the image, in pixels."""
         self.side_error = 0.0
         self.apart = False
         self._before: tuple[float, float] | None = None
@@ -188,8 +190,8 @@ class TableTracker:
         markers nor map are reliable."""
         s = self.settings
         corners = edges.corners
-        side = float(np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2).mean())
-        limit = max(s.bloom, s.bloom_share * side)
+        self.side = float(np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2).mean())
+        limit = max(s.bloom, s.bloom_share * self.side)
         two = len(self.used) <= 2
         # With only two markers, the motion of one marker is difficult to distinguish from a motion
         # of the camera. The motion of one marker changes the apparent size of the markers or the

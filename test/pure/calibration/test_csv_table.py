@@ -148,6 +148,10 @@ PAIR = (Column("x", "m", -100.0, 100.0), Column("y", "m", -100.0, 100.0))
         ("x_mm;y_mm\n1 234,5;2\n1\u202f000;2\n2'000;2\n", [1234.5, 1000.0, 2000.0]),
         ("x_mm;y_mm\n1.234.567,5;2\n", [1234567.5]),
         ("# c, d; e\nx_mm;y_mm\n# c\n1,5E1;2\n", [15.0]),
+        ("# c\n# x_mm,y_mm\n1.5,2\n", [1.5]),
+        ("# x_mm y_mm\n  1.5e+00   2.0e+00\n", [1.5]),
+        ("x_mm , y_mm\n1.5 , 2\n", [1.5]),
+        ("# x_mm and y_mm\nx_mm;y_mm\n1,5;2\n", [1.5]),
     ],
 )
 def test_separator_and_decimal_mark_are_decided_for_the_whole_file(

@@ -55,6 +55,17 @@ def test_the_simulated_parameters_are_recovered(records, fit):
     assert 0.09 < fit.estimate("scatter_spin").value < 0.23
 
 
+def test_the_file_of_another_object_is_refused(records, tmp_path, capsys):
+    square = shared_folder() / "objects" / "aluminium_square.yaml"
+    assert main(["object", "fit", str(records[0]), "--object", str(square)]) == 2
+    assert "describes a polygon, but the records are of" in " ".join(
+        capsys.readouterr().err.split()
+    )
+    write(tmp_path / "records", taps(noise=(0.01, 0.01), scatter=(0.02, 0.03)))
+    with pytest.raises(RecordError, match="do not suit the shape and the mass of 'aluminium squ"):
+        fit_object([read_experiment(tmp_path / "records")], load_object(square))
+
+
 def test_the_papers_criterion_agrees(records, fit):
     _, _, true = records
     assert fit.paper.torque_factor == pytest.approx(true["torque_factor"], rel=0.05)

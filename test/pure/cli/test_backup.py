@@ -182,3 +182,18 @@ def test_an_archive_without_a_statement_is_refused(
         for entry, text in {**texts, "content.json": json.dumps(content)}.items():
             new.writestr(entry, text)
     assert verb("restore", places.root, str(archive), "--yes") == 2
+
+
+def test_a_backup_into_a_folder_is_refused(places: Places, tmp_path: Path, capsys) -> None:
+    assert verb("backup", places.root, str(tmp_path)) == 2
+    assert "give the name of a zip file in it" in " ".join(capsys.readouterr().err.split())
+
+
+def test_an_archive_that_was_packed_again_is_named(places: Places, tmp_path: Path, capsys) -> None:
+    first, second = tmp_path / "a.zip", tmp_path / "b.zip"
+    assert verb("backup", places.root, str(first)) == 0
+    with zipfile.ZipFile(first) as one, zipfile.ZipFile(second, "w") as other:
+        for name in one.namelist():
+            other.writestr(f"a/{name}", one.read(name))
+    assert verb("restore", places.root, str(second), "--yes") == 2
+    assert "packed again with its folder" in " ".join(capsys.readouterr().err.split())

@@ -189,6 +189,12 @@ def test_a_key_outside_ros_parameters_is_reported(text, place, key, tmp_path):
     ]
 
 
+def test_a_parameter_file_without_its_second_key_is_recognised_by_its_nodes(tmp_path):
+    path = tmp_path / "parameters.yaml"
+    path.write_text("/**/tap_planner:\n  ros_parameters: {adapt: true}\n")
+    assert "'ros__parameters' (two underscores) under each" in errors(path)[0]
+
+
 def test_the_verb_returns_an_exit_status_and_json(folder, capsys):
     cell = folder / "cell.yaml"
     assert main(["check-config", str(cell), str(folder / "truth" / "default.yaml")]) == 0

@@ -71,13 +71,22 @@ def test_runs_are_compared(runs: Path, capsys: pytest.CaptureFixture[str]) -> No
     assert "3 runs, 1 reached their goal" in page and 'href="../good/report.html"' in page
 
 
+def test_a_copy_of_a_run_is_counted_once(runs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    shutil.copytree(runs / "good", runs / "copy")
+    words = [str(runs / name) for name in ("good", "good", "bad", "copy")]
+    assert main(["report", *words, "--output", str(runs / "all"), "--json"]) == 0
+    output = capsys.readouterr()
+    assert [row["name"] for row in json.loads(output.out)["runs"]] == ["good", "bad"]
+    assert f"{runs / 'copy'} is the same run as {runs / 'good'}: counted once" in output.err
+
+
 def test_files_that_are_no_bags_are_skipped_among_several_paths(runs, capsys):
     (runs / "comparison.html").touch()  # of an earlier comparison
     assert main(["report", *(str(path) for path in sorted(runs.iterdir()))]) == 0
     output = " ".join(capsys.readouterr().out.split())
     assert f"{runs / 'comparison.html'} is not a run: skipped" in output
     assert main(["report", str(runs / "comparison.html")]) == 2
-    assert "not an MCAP file" in " ".join(capsys.readouterr().err.split())
+    assert "give the folder of the run" in " ".join(capsys.readouterr().err.split())
     assert main(["report", str(runs / "nowhere.html"), str(runs / "good")]) == 1
 
 

@@ -164,12 +164,19 @@ MISTAKES = [
     (DISK, "\nfriction: 0.17 ", "\nfriction: 9.6 ", "tangent of the friction angle"),
     (DISK, "direction: 0.01745 ", "direction: 0.5 ", "if the value is in deg, write 0.00872665"),
     (CAMERA, "639.5, 0.0, 1150.0, 511.5", "511.5, 0.0, 1150.0, 639.5", "or cx and cy, seem to be"),
+    (CAMERA, "distortion_model", "camera_model", "if 'camera_model' is meant, rename it"),
+    (CAMERA, "-0.12, 0.08, 0.0004,", "-0.12 0.08 0.0004", "put commas between the numbers"),
+    (CELL, "[0.0, 0.47, -1.5707963]", "[0.0 0.47 -1.5707963]", "put commas between the numbers"),
+    (DISK, "\nfriction: 0.17 ", "\nfriction = 0.17 ", "write 'key: value', not 'friction = 0...'"),
+    (CELL, "  baud: 115200", "  baud:115200", "write a space after the colon in 'baud:115200'"),
     (
-        CAMERA,
-        "image_width",
-        "width",
-        "name the values as in the package's camera_info.yaml (the ke",
+        DISK,
+        "shape:\n  kind: disk\n  radius: 0.048",
+        "shape: {kind:disk}",
+        "a space after its colon",
     ),
+    (CELL, "port: ~/.ros/tapping_cell/{cell}/arm", "port: /dev/ttyUSB0:115200", "'baud: 115200'"),
+    (SIX, "base_link\n      tip_link: flange", "flange\n      tip_link: base_link", "be exchanged"),
     (CAMERA, MATRIX, "[[1150, 0, 639.5], [0, 1150, 511.5], [0, 0, 1]]", "its numbers in one list"),
 ]
 
@@ -195,6 +202,7 @@ def test_a_common_mistake_is_refused_with_cause_and_remedy(
     ("old", "new", "words"),
     [
         ("object: objects/", "object: objects\\", "did you mean '{}/objects/aluminium_disk.yaml'?"),
+        ("objects/aluminium_disk.yaml", "aluminium disk", "mean 'objects/aluminium_disk.yaml'?"),
         ("aluminium_disk", "Aluminium_Disk", "did you mean 'aluminium_disk.yaml'?"),
         (
             "markers: table.yaml",
@@ -237,6 +245,8 @@ def test_a_lens_with_the_third_radial_coefficient_before_the_tangential_ones_is_
     assert check(shared_folder() / CAMERA)[0].warnings == []
 
 
+FASTEST = "max_speed: [2.0, 2.5, 0.25, 6.0]\n  max_acceleration: [8.0, 10.0, 2.0, 30.0]"
+EXCHANGED = "max_speed: [8.0, 10.0, 2.0, 30.0]\n  max_acceleration: [2.0, 2.5, 0.25, 6.0]"
 NORTH = "0.47, -1.5707963]"
 SIZES = "length: 0.60\n  width: 0.44"
 
@@ -244,6 +254,8 @@ SIZES = "length: 0.60\n  width: 0.44"
 @pytest.mark.parametrize(
     ("file", "changes", "words"),
     [
+        (CELL, {FASTEST: EXCHANGED}, "never reach 'arm.max_speed' within their limits; these two"),
+        (CELL, {"travel_speed: 0.8": "travel_speed: 0.3"}, "'arm.travel_speed' (0.3); these two"),
         (CELL, {NORTH: "0.47, 1.5707963]"}, "points away from the middle of the table"),
         (CELL, {SIZES: "length: 0.44\n  width: 0.60"}, "markers 102, 107 lie in the usable area"),
         (FIXED, {f"channel: {k}": f"channel: {k + 1}" for k in (*range(7, -1, -1),)}, "from 0; if"),
@@ -263,6 +275,15 @@ def test_a_mistake_that_may_be_meant_is_a_warning(
     found = check(folder / file)[0]
     assert not found.errors
     assert any(words in sentence for sentence in found.warnings), found.warnings
+
+
+def test_a_section_that_is_indented_too_far_is_named(tmp_path: Path) -> None:
+    text = (shared_folder() / CELL).read_text(encoding="utf-8")
+    start, end = text.index("tapper:\n"), text.index("\ncamera:")
+    inner = "".join(f"  {line}\n" for line in text[start:end].splitlines())
+    (tmp_path / CELL).write_text(text[:start] + inner + text[end:], encoding="utf-8")
+    errors = [sentence for found in check(tmp_path / CELL) for sentence in found.errors]
+    assert any("'arm.tapper'; if it is a section beside this one" in error for error in errors)
 
 
 def test_the_corners_of_a_polygon_may_be_clockwise(tmp_path: Path) -> None:
@@ -358,8 +379,13 @@ def test_a_mistake_in_a_record_is_refused_and_named(
     assert words in capsys.readouterr().err
 
 
+TRUTH = str(shared_folder() / "truth" / "default.yaml")
 ARGUMENTS = [
     (["goal", "50,5", "-20", "90"], "write a decimal point: 50.5"),
+    (["goal", "50,-20,90"], "separate the numbers by spaces: 50 -20 90"),
+    (["goal", "50", "-20"], "THETA, in degrees, is missing"),
+    (["evaluate", "--trials", "1e3"], "is not a whole number; write 1000"),
+    (["evaluate", "--scatter", "5%", "15%", "1"], "without '%', in the unit that --help states"),
     (["demo", "--goal", "10", "20mm", "0"], "write the number without 'mm'"),
     (["evaluate", "--tolerance", "0.001", "0.02"], "if the value is in m, write 1"),
     (["evaluate", "--goal", "0.01", "0", "0.17"], "if it is in m and rad, write 10 0 9.74"),
@@ -368,6 +394,14 @@ ARGUMENTS = [
         "0.012 is outside its limits 0.5 to 500 mm; if the value is in m, write 12",
     ),
     (["goal", "50", "-20", "90", "--tolerance", "0.001", "0.02"], "must be 0.01 to 100 mm"),
+    (
+        ["evaluate", "--model", "physics", "--object", TRUTH],
+        "is a file of another kind, with the k",
+    ),
+    (
+        ["evaluate", "--model", "physics", "--object", "cell.yaml"],
+        "another kind, with the keys name",
+    ),
     (["goal", "--layout", "LAYOUT"], "'goals[0]' and 'goals[1]' are both for the object 'a'"),
 ]
 

@@ -259,3 +259,14 @@ URDF = (Path(__file__).parents[3] / "examples" / "six_axis_cell" / "six_axis_arm
 def test_an_incompatible_urdf_is_refused_with_a_message(text, base, tip, names, words):
     with pytest.raises(ValueError, match=words):
         chain_from_urdf(text, base, tip, names, np.eye(4), np.eye(4))
+
+
+def test_the_limits_of_a_continuous_joint_are_kept() -> None:
+    def ends(lower: float, upper: float) -> tuple[float, float]:
+        text = URDF.replace('"revolute"', '"continuous"', 1)
+        text = text.replace('lower="-2.97" upper="2.97"', f'lower="{lower}" upper="{upper}"')
+        joint = chain_from_urdf(text, "base_link", "flange", NAMES, np.eye(4), np.eye(4)).joints[0]
+        return joint.lower, joint.upper
+
+    assert ends(-2.97, 2.97) == (-2.97, 2.97)
+    assert ends(0.0, 0.0) == ends(-1e16, 1e16) == (-math.tau, math.tau)

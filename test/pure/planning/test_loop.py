@@ -148,7 +148,7 @@ def test_a_camera_that_can_never_confirm_the_goal_is_refused_before_the_first_ta
     ("words", "expected"),
     [
         ({"camera": (1e-4, 1e-3)}, "CameraNoise"),
-        ({"camera": CameraNoise(0.1, 0.05)}, "m and rad, not mm"),
+        ({"camera": CameraNoise(0.1, 0.05)}, "and rad in Python"),
         ({"tolerance": 0.001}, "two numbers"),
     ],
 )

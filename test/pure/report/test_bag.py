@@ -8,6 +8,8 @@ import multiprocessing
 import os
 import random
 import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -287,3 +289,16 @@ def test_a_file_that_is_not_a_bag_is_refused_with_a_message(tmp_path: Path) -> N
     assert read_bag(tmp_path / "c.mcap").messages == ()
     with pytest.raises(BagError, match="found 3"):
         read_bag(tmp_path)
+
+
+@pytest.mark.parametrize("line", ["from rosbags.nothing import x", "raise AttributeError('bool')"])
+def test_a_damaged_rosbags_is_named(line: str, tmp_path: Path) -> None:
+    (tmp_path / "rosbags").mkdir()
+    (tmp_path / "rosbags" / "__init__.py").write_text(line)
+    (tmp_path / "a.mcap").touch()
+    command = [sys.executable, "-m", "tapping_cell", "report", str(tmp_path / "a.mcap")]
+    places = os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")])
+    environment = {**os.environ, "PYTHONPATH": places}
+    result = subprocess.run(command, env=environment, capture_output=True, text=True)
+    assert result.returncode == 2
+    assert "rosbags is missing or damaged" in result.stderr and "Traceback" not in result.stderr

@@ -146,6 +146,7 @@ def test_an_invalid_camera_is_refused_with_a_message(change, words):
 def test_an_image_of_another_type_is_distinguished(image):
     camera = CameraModel(1280, 1024, 1150.0, 1150.0, 639.5, 511.5)
     assert "1280" in camera.check_image(image)
+    assert "turn it by 90 degrees" in camera.check_image(np.zeros((1280, 1024), np.uint8))
     assert camera.check_image(np.zeros((1024, 1280), np.uint8)) is None
 
 

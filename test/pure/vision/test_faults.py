@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scenes import CAMERA, MARKER, REFERENCES, renderer
@@ -63,6 +65,14 @@ def test_a_mirrored_image_is_reported_from_the_first_frame(pictures):
     tracker = PoseTracker(CAMERA, REFERENCES, MARKER)
     seen = tracker.update(np.ascontiguousarray(pictures[0][:, ::-1]), 0.0)
     assert seen.problem is Problem.MIRRORED_MARKER
+
+
+def test_markers_that_are_all_turned_by_180_degrees_are_named(pictures):
+    turned = [replace(marker, theta=marker.theta + np.pi) for marker in REFERENCES.markers]
+    tracker = PoseTracker(CAMERA, replace(REFERENCES, markers=tuple(turned)), MARKER)
+    seen = tracker.update(pictures[0], 0.0)
+    assert seen.problem is Problem.TABLE_CONTRADICTED
+    assert "turned by 180 degrees against the table file" in seen.sentence
 
 
 def test_a_copy_of_a_reference_marker_is_reported_and_not_used(pictures):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import struct
 from pathlib import Path
 
 import cv2
@@ -210,6 +211,27 @@ def test_palette_cmyk_bilevel_and_transparent_files_are_read_as_an_independent_r
     ):
         expected = np.asarray(image.convert("RGB")) @ np.array([0.299, 0.587, 0.114])
         assert differs(read_compressed(saved(image, form, **options)), expected) <= 3.0
+
+
+@pytest.mark.parametrize("deep", [False, True])
+def test_a_tiff_file_in_which_white_is_zero_is_inverted(deep):
+    pixels = GREY.astype(np.uint16) * 257 if deep else GREY
+    data = saved(PIL.Image.fromarray(np.invert(pixels)), "TIFF")
+    kept = [struct.pack("<HHIHH", 262, 3, 1, value, 0) for value in (1, 0)]  # PhotometricInterp.
+    assert kept[0] in data
+    assert differs(read_compressed(data.replace(*kept)), GREY.astype(float)) == 0.0
+
+
+@pytest.mark.parametrize("form", ["TIFF", "PNG", "WEBP"])
+def test_a_file_of_several_images_is_named(form):
+    first, second = (
+        PIL.Image.fromarray(pixels) for pixels in (GREY, GREY.T.copy().reshape(48, 64))
+    )
+    image = read_compressed(
+        saved(first, form, save_all=True, append_images=[second], lossless=True)
+    )
+    assert differs(image, GREY.astype(float)) <= 3.0
+    assert image.warnings == ("the file contains 2 images, of which the first is used",)
 
 
 def test_transparent_pixels_are_named():
