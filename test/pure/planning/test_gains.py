@@ -213,6 +213,21 @@ def test_the_spread_covers_999_of_1000_first_slides_for_any_prior(friction):
     assert np.mean(slides > spread.longest) <= 1e-3
 
 
+@given(st.lists(st.floats(-5.8, 5.8), min_size=1, max_size=8))
+def test_the_spread_holds_each_slide_of_an_object_with_a_contact_without_friction(slopes):
+    # The object moves along the normal of the contact: in the paper's disk, the normal is turned by
+    # 0.034 rad for each rad/m of the requested rotation. The contact does not turn the object.
+    normal, gains = 0.034, Gains.start()
+    for slope in slopes:
+        asked = [0.02, 0.0, 0.02 * slope]
+        expected = gains.predict(asked, 0.0)
+        right, left = gains.spread(asked, SCATTER, 3.0).aside
+        deviation = normal * slope - math.atan2(expected[1], expected[0])
+        assert right <= deviation <= left
+        moved = [0.012 * math.cos(normal * slope), 0.012 * math.sin(normal * slope), 0.0]
+        gains = gains.observe(asked, moved, 0.0, SCATTER, CAMERA)
+
+
 @pytest.mark.parametrize(
     "names", [("чашка", "блюдце"), ("Tasse ä", "Tasse ö"), ("cup 1", "cup_1"), ("a.", "a")]
 )
