@@ -87,16 +87,16 @@ for one with an offset, and for one with both deviations. The part of the impact
 that the sum is G."""
 
 DIRECTION = Prior(
-    weight=np.array([0.85, 0.15]),
-    mean=np.zeros((2, 2)),
-    deviation=np.array([[0.010, 0.001], [0.10, 0.03]]),
+    weight=np.array([0.85, 0.10, 0.05]),
+    mean=np.zeros((3, 2)),
+    deviation=np.array([[0.010, 0.001], [0.10, 0.005], [0.01, 0.02]]),
     change=1,
     span=2.0 * math.pi,
 )
-"""Prior of (e, f): usually a standard deviation of 0.6 degrees, rarely errors of up to 20 degrees.
-A contact without friction moves the object along its normal, so that f is 0.034 for the paper's
-disk: the direction of a tap with the largest rotation is then wrong by 11 degrees, in the sense of
-the rotation."""
+"""Prior of (e, f): usually a standard deviation of 0.6 degrees, rarely a constant error of up to 20
+degrees, or a contact with almost no friction. Such a contact moves the object along its normal, so
+that f is 0.034 for the paper's disk: the direction of a tap with the largest rotation is then wrong
+by 11 degrees, in the sense of the rotation."""
 
 DISTANCE_SUM = np.ones((1, 2))
 ROTATION_SUM = np.array(
