@@ -524,6 +524,7 @@ def test_two_fingers_jog_the_arm_until_the_first_one_slides_away(tmp_path: Path)
         touch("touchEnd", (1, *middle("jog-home")))
         page.wait(lambda: arm() == ArmState.HOMING, "the second finger homes the arm")
         touch("touchMove", (0, x, y + 60))
+        assert page.element("enable").get_attribute("aria-pressed") == "false"
         page.wait(lambda: arm() == ArmState.STOPPED, "the arm stops as the finger slides away")
 
 
@@ -559,7 +560,8 @@ def test_the_tables_of_an_arrangement_stay_inside_their_cards(tmp_path: Path) ->
             )
             for name in ("taps", "runs"):
                 beyond = driver.execute_script(
-                    "const table = document.getElementById(arguments[0]), card = table.parentElement;"
+                    "const table = document.getElementById(arguments[0]);"
+                    "const card = table.parentElement;"
                     "return table.getBoundingClientRect().right - card.getBoundingClientRect().left"
                     " - card.clientLeft - card.clientWidth;",
                     name,
