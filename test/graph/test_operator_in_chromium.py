@@ -42,6 +42,7 @@ FLAGS = (
     "--disable-sync",
     "--window-size=1280,1000",
 )
+STATIC = Path(__file__).resolve().parents[2] / "tapping_cell" / "nodes" / "page" / "static"
 TOLERANCE = (0.001, math.radians(1.0))
 demanding = pytest.mark.skipif(
     os.environ.get("TAPPING_CELL_BROWSER") != "full",
@@ -491,8 +492,91 @@ def test_set_up_mode_moves_only_while_the_key_is_held(tmp_path: Path) -> None:
         page.wait(lambda: not page.client.arm_state.enabled, "it is released")
 
 
+@demanding
+def test_two_fingers_jog_the_arm_until_the_first_one_slides_away(tmp_path: Path) -> None:
+    with opened(tmp_path, set_up=True) as page:
+        size = {"width": 390, "height": 844, "deviceScaleFactor": 1, "mobile": True}
+        page.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+        page.driver.execute_cdp_cmd("Emulation.setTouchEmulationEnabled", {"enabled": True})
+        page.wait(lambda: page.element("set-up").is_displayed(), "set-up mode is shown")
+        page.driver.execute_script("document.getElementById('set-up').scrollIntoView()")
+        arm = lambda: page.client.arm_state.state  # noqa: E731
+
+        def touch(kind: str, *fingers: tuple[int, float, float]) -> None:
+            points = [{"id": finger, "x": x, "y": y} for finger, x, y in fingers]
+            page.driver.execute_cdp_cmd(
+                "Input.dispatchTouchEvent", {"type": kind, "touchPoints": points}
+            )
+
+        def middle(name: str) -> tuple[float, float]:
+            return tuple(
+                page.driver.execute_script(
+                    "const box = document.getElementById(arguments[0]).getBoundingClientRect();"
+                    "return [box.left + box.width / 2, box.top + box.height / 2];",
+                    name,
+                )
+            )
+
+        x, y = middle("enable")
+        touch("touchStart", (0, x, y))
+        page.wait(lambda: page.element("jog-home").is_enabled(), "the key is held")
+        touch("touchStart", (0, x, y), (1, *middle("jog-home")))
+        touch("touchEnd", (1, *middle("jog-home")))
+        page.wait(lambda: arm() == ArmState.HOMING, "the second finger homes the arm")
+        touch("touchMove", (0, x, y + 60))
+        assert page.element("enable").get_attribute("aria-pressed") == "false"
+        page.wait(lambda: arm() == ArmState.STOPPED, "the arm stops as the finger slides away")
+
+
+def test_the_tables_of_an_arrangement_stay_inside_their_cards(tmp_path: Path) -> None:
+    options = webdriver.ChromeOptions()
+    options.binary_location = BROWSER
+    for flag in (*FLAGS, f"--user-data-dir={tmp_path / 'browser'}"):
+        options.add_argument(flag)
+    tap = {
+        **{"speed": 1169, "outcome": "fired", "method": "optimal", "before": [250, 1]},
+        **{"commanded": [-108.8, -133.0, -115.0], "predicted": [-108.4, -132.4, -115.9]},
+        **{"measured": [-198.5, -128.3, -116.2], "remaining": [166.91, -121.61]},
+    }
+    # The first object took nine taps.
+    taps = [{**tap, "object": "aluminium disk", "number": 1}]
+    taps += [{**tap, "object": "square 2", "number": number} for number in (10, 11)]
+    run = {
+        **{"name": "run", "outcome": "not truly reached", "error": "", "began": 1.7e9},
+        **{"objects": 1, "goal": [-120, -130, -150], "taps": 12, "residual": [70.98, -120.1]},
+        **{"report": True, "kept": False},
+    }
+    driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(DRIVER))
+    try:
+        driver.get((STATIC / "index.html").as_uri())
+        for width in (1920, 1366, 1280, 390):
+            size = {"width": width, "height": 768, "deviceScaleFactor": 1, "mobile": width < 760}
+            driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+            driver.execute_script(
+                "state = {plan: {tolerance: [1, 1], object: 'square 2'}, taps: arguments[0]};"
+                "renderTaps(); renderRuns(Array(12).fill(arguments[1]), 'key', '', true);",
+                taps,
+                run,
+            )
+            for name in ("taps", "runs"):
+                beyond = driver.execute_script(
+                    "const table = document.getElementById(arguments[0]);"
+                    "const card = table.parentElement;"
+                    "return table.getBoundingClientRect().right - card.getBoundingClientRect().left"
+                    " - card.clientLeft - card.clientWidth;",
+                    name,
+                )
+                # clientWidth is rounded to whole pixels.
+                assert beyond < 1, f"{name} at a width of {width}: {beyond} px beyond its card"
+        spoken = driver.find_element("id", "plot").get_attribute("aria-label")
+        assert "at the start 250.0 mm, after tap 10 166.9 mm" in spoken
+        shown = [each.text for each in driver.find_elements("css selector", "#plot text")]
+        assert "start" in shown and "10" in shown and "1" not in shown
+    finally:
+        driver.quit()
+
+
 def test_the_page_file_references_no_other_host() -> None:
-    static = Path(__file__).resolve().parents[2] / "tapping_cell" / "nodes" / "page" / "static"
-    for file in static.iterdir():
+    for file in STATIC.iterdir():
         foreign = file.read_text(encoding="utf-8").replace("http://www.w3.org/2000/svg", "")
         assert "http://" not in foreign and "https://" not in foreign, file.name

@@ -10,11 +10,13 @@ function drawn(name, attributes, text = "") {
   return made;
 }
 
-// Plot the distance to the goal before the first tap and after each tap, on a logarithmic scale.
+// Plot the distance to the goal before the first tap of an object and after each tap, on a logarithmic
+// scale. In an arrangement, the first tap of an object need not be tap 1.
 // The area within the tolerance is filled.
 function renderPlot(taps, tolerance) {
   const plot = $("plot");
-  const points = taps.length && taps[0].before[0] !== null ? [[0, taps[0].before[0]]] : [];
+  const first = taps.length ? taps[0].number - 1 : 0;
+  const points = taps.length && taps[0].before[0] !== null ? [[first, taps[0].before[0]]] : [];
   for (const tap of taps) if (tap.remaining[0] !== null) points.push([tap.number, tap.remaining[0]]);
   if (points.length < 2 || !tolerance) {
     plot.setAttribute("hidden", "");
@@ -24,22 +26,22 @@ function renderPlot(taps, tolerance) {
   const left = 56, right = 392, top = 10, bottom = 106;
   const least = Math.log10(Math.max(0.01, Math.min(tolerance / 3, ...points.map((p) => p[1]))));
   const most = Math.log10(Math.max(2 * tolerance, ...points.map((p) => p[1])));
-  const last = Math.max(points[points.length - 1][0], 3);
-  const x = (tap) => left + 8 + (right - left - 16) * tap / last;
+  const last = Math.max(points[points.length - 1][0], first + 3);
+  const x = (tap) => left + 8 + (right - left - 16) * (tap - first) / (last - first);
   const y = (mm) => bottom - (bottom - top) * (Math.log10(Math.max(mm, 10 ** least)) - least) / (most - least);
   const parts = [drawn("rect", { class: "inside", x: left, width: right - left, y: y(tolerance), height: bottom - y(tolerance) })];
   for (let power = Math.ceil(least); power <= most; power += 1) {
     parts.push(drawn("line", { class: "grid", x1: left, x2: right, y1: y(10 ** power), y2: y(10 ** power) }));
     parts.push(drawn("text", { x: left - 5, y: y(10 ** power) + 4, "text-anchor": "end" }, `${+(10 ** power).toFixed(2)} mm`));
   }
-  const step = Math.ceil(last / 10);
-  for (let tap = 0; tap <= last; tap += step) parts.push(drawn("text", { x: x(tap), y: bottom + 14, "text-anchor": "middle" }, tap ? `${tap}` : "start"));
+  const step = Math.ceil((last - first) / 10);
+  for (let tap = first; tap <= last; tap += step) parts.push(drawn("text", { x: x(tap), y: bottom + 14, "text-anchor": "middle" }, tap > first ? `${tap}` : "start"));
   parts.push(drawn("text", { x: left + 4, y: y(tolerance) + 13 }, `tolerance ${tolerance} mm`));
   parts.push(drawn("polyline", { points: points.map(([tap, mm]) => `${x(tap).toFixed(1)},${y(mm).toFixed(1)}`).join(" ") }));
   for (const [tap, mm] of points) parts.push(drawn("circle", { cx: x(tap), cy: y(mm), r: 3.5 }));
   plot.replaceChildren(...parts);
   plot.setAttribute("aria-label", "Distance to the goal: "
-    + points.map(([tap, mm]) => `${tap ? `after tap ${tap}` : "at the start"} ${mm.toFixed(1)} mm`).join(", "));
+    + points.map(([tap, mm]) => `${tap > first ? `after tap ${tap}` : "at the start"} ${mm.toFixed(1)} mm`).join(", "));
 }
 
 function runLink(key, run, file, text) {

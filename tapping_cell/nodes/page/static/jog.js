@@ -34,6 +34,13 @@ for (const axis of JOG_AXES) {
 for (const button of $("jog").querySelectorAll("button")) {
   // The space bar holds the key while the mouse clicks a step: the focus stays at the key.
   button.addEventListener("mousedown", (event) => event.preventDefault());
+  // Browsers send no click for a second finger while the first one holds the key.
+  button.addEventListener("touchend", (event) => {
+    if (!event.touches.length) return;
+    event.preventDefault();
+    const { clientX, clientY } = event.changedTouches[0];
+    if (document.elementFromPoint(clientX, clientY) === button) button.click();
+  });
 }
 $("jog-home").addEventListener("click", () => request("home"));
 $("jog-park").addEventListener("click", () => request("park", {}, "jog"));
