@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 
 import pytest
-from tapping_cell_msgs.msg import PlanState
+from tapping_cell_msgs.msg import GoalReport, PlanState, TapRecord
 
 from tapping_cell.nodes.page.cell_view import CellView
 
@@ -19,3 +19,12 @@ def test_the_goal_of_a_planner_that_sends_no_messages_is_not_shown_as_under_way(
     assert view.mode().word == "moving"
     now += 10.0
     assert view.mode().word == "not ready"
+
+
+def test_the_end_of_an_arrangement_is_not_that_of_its_last_object() -> None:
+    view = CellView()
+    view.names = ["disk", "ring"]
+    records = [TapRecord(object_id=name) for name in ("disk", "ring", "ring")]
+    view.on_report(GoalReport(state=PlanState.REACHED, object_id="ring", taps=3, records=records))
+    log = view.state()["log"]
+    assert isinstance(log, list) and log[-1]["text"] == "arrangement reached after 3 taps"

@@ -230,6 +230,8 @@ class CellView:
         self._report = message
         sentence, kind = with_code(message.error_msg, message.error_code), "bad"
         goal = self._goal_of(message.object_id)
+        if len({record.object_id for record in message.records}) > 1:
+            goal = "arrangement"
         if message.refused:
             sentence = f"{goal} refused: {sentence}"
         elif not message.error_code:
