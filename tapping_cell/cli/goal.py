@@ -132,8 +132,11 @@ def run(arguments: argparse.Namespace) -> int:
     several = arguments.layout is not None or arguments.preset is not None
     given = sum(value is not None for value in (arguments.x, arguments.y, arguments.theta))
     if given != (0 if several else 3):
-        missing = "" if several or not given else "; THETA, in degrees, is missing"
-        missing = "; Y and THETA are missing" if given == 1 and not several else missing
+        missing = ""
+        if given and not several:
+            missing = (
+                "; Y and THETA are missing" if given == 1 else "; THETA, in degrees, is missing"
+            )
         print_error(f"give either X Y THETA of a goal, or --layout FILE, or --preset NAME{missing}")
         return 2
     if several:

@@ -308,12 +308,9 @@ class GoalHandling:
                 ErrorCode.GOAL_BAD_TAP_LIMIT,
                 f"max_taps is {request.max_taps}, but the cell allows at most {limit}; reduce it",
             )
-        if not math.isfinite(request.time_limit) or request.time_limit < 0:
-            return Refused(
-                ErrorCode.COMMAND_INVALID,
-                f"the time limit is {request.time_limit:g} s; it must be above 0, or 0 for the"
-                " cell's default",
-            )
+        bad_time_limit = _time_limit_refusal(request.time_limit)
+        if bad_time_limit is not None:
+            return bad_time_limit
         self._locate(name, now)
         unreachable = self._goal_refusal(goal)
         if unreachable is not None:
@@ -401,12 +398,9 @@ class GoalHandling:
                 f"max_taps is {asked.max_taps}, but the cell allows at most {limit} for"
                 f" {len(wanted)} objects; reduce it",
             )
-        if not math.isfinite(asked.time_limit) or asked.time_limit < 0:
-            return Refused(
-                ErrorCode.COMMAND_INVALID,
-                f"the time limit is {asked.time_limit:g} s; it must be above 0, or 0 for the"
-                " cell's default",
-            )
+        bad_time_limit = _time_limit_refusal(asked.time_limit)
+        if bad_time_limit is not None:
+            return bad_time_limit
         bodies = [
             Body(
                 name,
@@ -499,6 +493,16 @@ def _tolerance_of(cell: Cell, position: float, angle: float) -> tuple[float, flo
         return tolerance
     too_fine = precision_limit(assembly.make_planner_settings(cell, tolerance))
     return Refused(ErrorCode.GOAL_BAD_TOLERANCE, too_fine) if too_fine else tolerance
+
+
+def _time_limit_refusal(seconds: float) -> Refused | None:
+    """Return why the time limit of a request is refused; None if it is possible."""
+    if math.isfinite(seconds) and seconds >= 0:
+        return None
+    return Refused(
+        ErrorCode.COMMAND_INVALID,
+        f"the time limit is {seconds:g} s; it must be above 0, or 0 for the cell's default",
+    )
 
 
 def _slides_like(cell: Cell) -> str:
