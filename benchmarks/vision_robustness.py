@@ -173,7 +173,7 @@ def _slide(stage: Stage) -> Iterator[Shot]:
         return np.asarray(start + way * (2.0 * share - share * share))
 
     for k in range(frames + 1):
-        yield Shot(stage.scene.render(at(k), at(k + blur)), at(k + 0.5 * blur))
+        yield Shot(stage.scene.render(at(k), [at(k + blur)]), at(k + 0.5 * blur))
     stage.place = target
 
 

@@ -8,6 +8,7 @@ In each frame, only the regions around moving objects are redrawn.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -45,6 +46,8 @@ _COARSE = 8
 """Pixels per cell of the grid in which shadows are drawn."""
 _STRIP = 8
 """Height of a strip of that grid."""
+_STRIP_MARGIN = 4
+"""Rows around a strip of an image with a rolling shutter that are rendered because of the blur."""
 _FRACTION = 16
 """Fixed-point units per grey level in the noise-free image, so that values are rounded only after
 the noise was added."""
@@ -58,7 +61,8 @@ class SceneSettings:
     direction ``light_direction`` (rad, in table); ``noise``: standard deviation in grey levels;
     ``blur``: sigma of the point spread function in pixels, including the averaging over a pixel;
     ``shadow``: displacement of the object's shadow (m, in table); ``shadow_depth``: fraction of the
-    light that the shadow removes.
+    light that the shadow removes; ``rolling``: fraction of the time of an image by which the
+    exposure of its last row is later than that of its first (0: global shutter).
     """
 
     noise: float = 2.0
@@ -68,6 +72,7 @@ class SceneSettings:
     blur: float = 0.65
     shadow: tuple[float, float] = (0.0, 0.0)
     shadow_depth: float = 0.0
+    rolling: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -205,7 +210,7 @@ class SceneRenderer:
     def render(
         self,
         object_pose: ArrayLike,
-        end_pose: ArrayLike | None = None,
+        later_poses: Sequence[ArrayLike] = (),
         occluders: Sequence[Occluder] = (),
         light: float = 1.0,
         drawings: Sequence[Drawing] = (),
@@ -213,13 +218,13 @@ class SceneRenderer:
         """Render one frame, uint8 (height, width).
 
         ``object_pose``: (x, y, theta) in ``table`` at the start of the exposure, or one row per
-        object. ``end_pose``: the same at the end of the exposure (None: at rest). ``light`` scales
-        the light of the whole scene (0 is dark). ``drawings`` are drawn over the objects, with
-        their shadows; the same sequence again means that nothing in them moved.
+        object. ``later_poses``: the same at equal intervals up to the end of the exposure (none:
+        at rest). ``light`` scales the light of the whole scene (0 is dark). ``drawings`` are drawn
+        over the objects, with their shadows; the same sequence again means that nothing in them
+        moved.
         """
-        start = np.atleast_2d(np.asarray(object_pose, dtype=float))
-        end = start if end_pose is None else np.atleast_2d(np.asarray(end_pose, dtype=float))
-        changed = self._draw_objects(start, end)
+        poses = [np.atleast_2d(np.asarray(p, dtype=float)) for p in (object_pose, *later_poses)]
+        changed = self._draw_objects(np.stack(poses, axis=1))
         clean = self._clean
         if drawings:
             if changed or drawings != self._drawings:
@@ -344,11 +349,12 @@ class SceneRenderer:
             light = light[: darkened.shape[0], : darkened.shape[1]]
             cv2.multiply(darkened, light, dst=darkened, scale=1.0 / 255.0, dtype=cv2.CV_16S)
 
-    def _draw_objects(self, start: NDArray[np.float64], end: NDArray[np.float64]) -> bool:
+    def _draw_objects(self, paths: NDArray[np.float64]) -> bool:
         """Redraw all objects at rest if one of them has moved, then draw the moving objects. Return
-        whether the image changed."""
+        whether the image changed. ``paths``: poses during the exposure, (objects, times, 3)."""
         moved = bool(self._moving_windows)
-        still = np.all(start == end, axis=-1)
+        start = paths[:, 0]
+        still = np.all(paths == paths[:, :1], axis=(1, 2))
         key = tuple((number, *start[number].tolist()) for number in np.flatnonzero(still).tolist())
         if key != self._still_key:
             moved = True
@@ -357,8 +363,7 @@ class SceneRenderer:
                 self._still16[window] = self._clean[window] = self._background16[window]
             self._still_windows = []
             for number in np.flatnonzero(still).tolist():
-                pose = start[number]
-                drawn = self._draw(self._drawables[number], pose, pose, self._still)
+                drawn = self._draw(self._drawables[number], paths[number, :1], self._still)
                 if drawn is not None:
                     window, patch = drawn
                     self._still[window] = patch
@@ -372,7 +377,7 @@ class SceneRenderer:
         moving = np.flatnonzero(~still).tolist()
         floor = self._still.copy() if len(moving) > 1 else self._still
         for number in moving:
-            drawn = self._draw(self._drawables[number], start[number], end[number], floor)
+            drawn = self._draw(self._drawables[number], paths[number], floor)
             if drawn is not None:
                 window, patch = drawn
                 if len(moving) > 1:
@@ -382,28 +387,38 @@ class SceneRenderer:
         return moved or bool(moving)
 
     def _draw(
-        self,
-        drawn: _Drawable,
-        start: NDArray[np.float64],
-        end: NDArray[np.float64],
-        floor: Array32,
+        self, drawn: _Drawable, path: NDArray[np.float64], floor: Array32
     ) -> tuple[tuple[slice, slice], Array32] | None:
-        """Render an object that moves between two poses. Return the image region and its content,
-        or None if the object is out of view. ``floor``: image without the object."""
-        ends = np.stack([start, end])
-        base = se2.transform_points(ends[:, None, :], drawn.outline)
+        """Render an object that moves along a path, poses (times, 3). Return the image region and
+        its content, or None if the object is out of view. ``floor``: image without the object."""
+        base = se2.transform_points(path[:, None, :], drawn.outline)
         rims = np.stack([self.view.project(base), self.view.project(base, drawn.height)])
         fallen = self.view.project(base + np.array(self.settings.shadow))
         window = self._window(np.concatenate([rims.reshape(-1, 2), fallen.reshape(-1, 2)]))
         if window is None:
             return None
-        travel = float(np.max(np.abs(rims[:, 1] - rims[:, 0])))
-        count = int(np.clip(np.ceil(travel), 1, 12))
-        shares = (np.arange(count) + 0.5) / count
-        total = np.zeros(self._light[window].shape, dtype=np.float32)
-        for share in shares:
-            total += self._patch(drawn, window, start + share * (end - start), floor[window])
-        return window, np.asarray(total / np.float32(count), dtype=np.float32)
+        travel = float(np.max(np.ptp(rims, axis=1)))
+        rolling = self.settings.rolling
+        # Each row is exposed during its own part of the image's time. Strips of rows in which the
+        # object moves by less than a quarter of a pixel are rendered together.
+        strips = int(np.clip(np.ceil(4.0 * travel * rolling), 1, 64)) if travel else 1
+        blurs = int(np.clip(np.ceil(travel * (1.0 - rolling)), 1, 12))
+        during = (np.arange(blurs) + 0.5) / blurs
+        times = np.linspace(0.0, 1.0, len(path))
+        result = np.empty(self._light[window].shape, dtype=np.float32)
+        edges = np.linspace(window[0].start, window[0].stop, strips + 1).astype(int)
+        for top, bottom in itertools.pairwise(edges.tolist()):
+            begin = rolling * (top + bottom - 1) / 2.0 / (self.view.camera.height - 1)
+            rows = slice(max(top - _STRIP_MARGIN, window[0].start), bottom + _STRIP_MARGIN)
+            strip = slice(rows.start, min(rows.stop, window[0].stop)), window[1]
+            total = np.zeros(self._light[strip].shape, dtype=np.float32)
+            for share in during:
+                at = begin + (1.0 - rolling) * share
+                pose = np.array([np.interp(at, times, values) for values in path.T])
+                total += self._patch(drawn, strip, pose, floor[strip])
+            kept = total[top - strip[0].start : bottom - strip[0].start]
+            result[top - window[0].start : bottom - window[0].start] = kept / np.float32(blurs)
+        return window, result
 
     def _patch(
         self,

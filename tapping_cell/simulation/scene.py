@@ -41,7 +41,11 @@ def make_renderer(
         references=cell.references,
         outline=outline,
         marker=cell.object.seen(),
-        settings=SceneSettings(noise=truth.noise, light_falloff=truth.light_falloff),
+        settings=SceneSettings(
+            noise=truth.noise,
+            light_falloff=truth.light_falloff,
+            rolling=truth.readout / truth.imaging_time,
+        ),
         seed=seed,
         others=others,
     )

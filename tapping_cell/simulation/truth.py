@@ -253,17 +253,33 @@ class CameraTruth:
         default=0.3,
     )
     exposure: float = quantity("exposure time", "s", 0.0001, 0.03, default=0.006)
+    readout: float = quantity(
+        "rolling shutter: time from the exposure of the first row to that of the last; "
+        "0 for a global shutter",
+        "s",
+        0.0,
+        0.05,
+        default=0.0,
+    )
     shows_arm: bool = text("whether the image shows the arm and the strikers", default=True)
     latency: float = quantity("delay from exposure to publication", "s", 0.0, 0.5, default=0.015)
 
+    @property
+    def imaging_time(self) -> float:
+        """Time from the beginning of the first row's exposure to the end of the last row's, s."""
+        return self.exposure + self.readout
+
     def check_rate(self, rate: float) -> None:
-        """Refuse a frame rate, Hz, that no camera reaches with this exposure time. Raises
-        ConfigurationError."""
-        if self.exposure > 1.0 / rate:
+        """Refuse a frame rate, Hz, at which an image would begin before the one before it is
+        complete. Raises ConfigurationError."""
+        if self.imaging_time > 1.0 / rate:
+            taken, keys = f"the exposure time is {1e3 * self.exposure:g} ms", "camera.exposure"
+            if self.readout > 0.0:
+                taken += f" and the read-out takes {1e3 * self.readout:g} ms"
+                keys += " or camera.readout"
             raise ConfigurationError(
-                f"the exposure time is {1e3 * self.exposure:g} ms, longer than the "
-                f"{1e3 / rate:.1f} ms between two images at {rate:g} Hz; decrease the frame rate, "
-                "or camera.exposure in the file with the simulation parameters"
+                f"{taken}, longer than the {1e3 / rate:.1f} ms between two images at {rate:g} Hz; "
+                f"decrease the frame rate, or {keys} in the file with the simulation parameters"
             )
 
 

@@ -216,7 +216,7 @@ class SimWorld(CellNode[Parameters]):
             if taken is None:
                 return
             opening, middle, closing = (
-                self._poses_at(taken - camera.exposure * share) for share in (1.0, 0.5, 0.0)
+                self._poses_at(taken - camera.imaging_time * share) for share in (1.0, 0.5, 0.0)
             )
             contacts = self._world.take_contacts()
         if taken == now:
@@ -225,13 +225,14 @@ class SimWorld(CellNode[Parameters]):
             # A new offset for each of these images would shift their stamps relative to each other
             # if a task switch occurred between reading the two clocks.
             self._world_began_ns = clock - round(1e9 * now)
-        stamp = self._stamp_at(taken - camera.exposure / 2)
+        stamp = self._stamp_at(taken - camera.imaging_time / 2)
         self._publish_truth(middle, stamp)
         for contact in contacts:
             self._publish_contact(contact)
         devices = self._devices if camera.shows_arm else None
         drawings = devices.drawings(now, taken) if devices is not None else ()
-        image = self._renderer.render([*opening.values()], [*closing.values()], drawings=drawings)
+        later = [[*middle.values()], [*closing.values()]]
+        image = self._renderer.render([*opening.values()], later, drawings=drawings)
         picture = images.to_message(image, "mono8")
         picture.header.frame_id = images.OPTICAL_FRAME
         picture.header.stamp = stamp.to_msg()

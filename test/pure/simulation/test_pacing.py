@@ -75,3 +75,6 @@ def test_an_exposure_longer_than_the_time_between_two_images_is_refused() -> Non
     CameraTruth(exposure=0.008).check_rate(120.0)
     with pytest.raises(ConfigurationError, match=r"9 ms, longer than the 8\.3 ms .* at 120 Hz"):
         CameraTruth(exposure=0.009).check_rate(120.0)
+    CameraTruth(exposure=0.002, readout=0.006).check_rate(120.0)
+    with pytest.raises(ConfigurationError, match=r"2 ms and the read-out takes 7 ms, longer than"):
+        CameraTruth(exposure=0.002, readout=0.007).check_rate(120.0)

@@ -31,7 +31,13 @@ BLUR = 0.65
 
 @pytest.fixture(scope="module")
 def scene() -> SceneRenderer:
-    settings = SceneSettings(noise=0.0, light_falloff=0.0, vignetting=0.0, blur=BLUR)
+    return noiseless()
+
+
+def noiseless(rolling: float = 0.0) -> SceneRenderer:
+    settings = SceneSettings(
+        noise=0.0, light_falloff=0.0, vignetting=0.0, blur=BLUR, rolling=rolling
+    )
     return SceneRenderer(CAMERA, POSE, REFERENCES, DISK, MARKER, settings)
 
 
@@ -99,12 +105,27 @@ def test_noise_and_light_are_applied_and_depend_on_the_seed():
 
 def test_blur_while_moving_is_the_mean_over_the_exposure(scene):
     end = HOME + np.array([0.004, 0.002, 0.05])
-    blurred = scene.render(HOME, end).astype(float)
+    blurred = scene.render(HOME, [end]).astype(float)
     stills = [
         scene.render(HOME + s * (end - HOME)).astype(float) for s in (np.arange(40) + 0.5) / 40
     ]
     assert np.abs(blurred - np.mean(stills, axis=0)).max() < 8.0
     assert np.abs(blurred - stills[0]).max() > 40.0
+
+
+def test_each_row_of_a_rolling_shutter_shows_its_own_part_of_the_time(scene):
+    rolling, after = 0.7, np.array([0.006, -0.004, 0.08])
+    path = [HOME, HOME, HOME + after]  # A tap in the middle of the image's time.
+    image = noiseless(rolling).render(path[0], path[1:]).astype(float)
+    rows = np.arange(CAMERA.height)
+    centre = scene.view.project(HOME[:2], MARKER.height)[1]
+    for row in np.rint(centre + np.array([-60, -20, 0, 30, 70])).astype(int):
+        begin = rolling * rows[row] / rows[-1]
+        seen = begin + (1.0 - rolling) * (np.arange(30) + 0.5) / 30
+        stills = [scene.render(HOME + max(0.0, 2.0 * t - 1.0) * after)[row] for t in seen]
+        assert np.abs(image[row] - np.mean(stills, axis=0)).max() < 8.0
+    at_once = scene.render(path[0], path[1:]).astype(float)
+    assert np.abs(image - at_once).max() > 40.0
 
 
 def test_the_object_leaves_no_trace_and_may_leave_the_image(scene):
@@ -172,8 +193,8 @@ def test_rendering_a_frame_takes_no_longer_than_drawing_its_noise(scene):
 
     def moving(k: int) -> np.ndarray:
         step = np.array([0.001, 0.0, 0.0])
-        return scene.render(HOME + k * step, HOME + (k + 1) * step)
+        return scene.render(HOME + k * step, [HOME + (k + 1) * step])
 
     noise = least(lambda k: np.random.default_rng(k).normal(size=(CAMERA.height, CAMERA.width)))
-    assert least(lambda _: scene.render(HOME, HOME)) < 0.5 * noise
+    assert least(lambda _: scene.render(HOME, [HOME])) < 0.5 * noise
     assert least(moving) < 1.5 * noise

@@ -53,8 +53,8 @@ def test_a_moved_object_leaves_no_trace_and_the_others_stay() -> None:
     first = renderer.render(POSES)
     moved = POSES.copy()
     moved[1] += [0.05, 0.04, 0.3]
-    renderer.render(POSES, moved)
-    renderer.render((POSES + moved) / 2, moved)
+    renderer.render(POSES, [moved])
+    renderer.render((POSES + moved) / 2, [moved])
     assert np.array_equal(renderer.render(moved), fresh.render(moved))
     assert np.array_equal(renderer.render(POSES), first)
     assert not np.array_equal(first, fresh.render(moved))
@@ -64,8 +64,8 @@ def test_two_objects_moving_side_by_side_are_both_rendered() -> None:
     renderer = scene(0.0)
     close = np.array([[0.0, 0.0, 0.0], [0.105, 0.0, 0.0]])
     step = np.array([0.002, 0.0, 0.0])
-    both = renderer.render(close, close + step).astype(float)
-    alone = [renderer.render(pose, pose + step).astype(float) for pose in close[:1]]
+    both = renderer.render(close, [close + step]).astype(float)
+    alone = [renderer.render(pose, [pose + step]).astype(float) for pose in close[:1]]
     rows, columns = np.nonzero(np.abs(both - alone[0]) > 20)
     # The images with and without the second object differ only where this object is.
     where = renderer.view.project(np.array([[0.105, 0.0]]), SQUARE.height)[0]

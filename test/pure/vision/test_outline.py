@@ -235,7 +235,7 @@ def test_a_slide_is_tracked_and_its_end_detected():
     velocity = np.array([0.2, -0.1, 1.0])
     for k in range(6):
         pose = HOME + velocity * k * FRAME
-        seen = film.show(shown.render(pose - 0.003 * velocity, pose + 0.003 * velocity))
+        seen = film.show(shown.render(pose - 0.003 * velocity, [pose + 0.003 * velocity]))
         assert seen.visible
         assert np.all(np.abs(error(seen, pose)) < [1e-4, 1e-4, 2e-3])
         if k > 2:

@@ -88,7 +88,7 @@ def test_a_slide_is_tracked_and_its_end_detected(scene):
     velocity = np.array([0.15, -0.06, 1.0])
     for k in range(6):
         pose = HOME + velocity * k * FRAME
-        seen = film.show(scene.render(pose, pose + velocity * 0.006))
+        seen = film.show(scene.render(pose, [pose + velocity * 0.006]))
         if k > 0:
             assert seen.visible and not seen.at_rest
         if k > 2:
