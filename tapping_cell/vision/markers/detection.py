@@ -150,6 +150,20 @@ def find_markers(
     return [Detection(number, corners / scale + offset) for number, corners in found]
 
 
+def markers_instead(image: Image, wanted: str) -> tuple[str, list[int]]:
+    """Return the dictionary of OpenCV other than ``wanted`` with the most markers in an image, and
+    the ids of these markers; an empty name if no dictionary has two, which can be by chance."""
+    names = {n for n in dir(cv2.aruco) if n.startswith("DICT_") and n.upper() == n}
+    best, best_ids = "", [0]
+    # A short dictionary has the same first markers as the longer ones of its kind.
+    by_length = sorted(names, key=lambda name: (len(marker_dictionary(name).bytesList), name))
+    for name in by_length:
+        ids = sorted({found.id for found in find_markers(image, name)})
+        if len(ids) > len(best_ids) and name != dictionary_name(wanted).upper():
+            best, best_ids = name.removeprefix("DICT_"), ids
+    return best, best_ids if best else []
+
+
 @dataclass(frozen=True, slots=True)
 class ObjectMarker:
     """The marker on an object's top: its pose on the object and its height above the table.

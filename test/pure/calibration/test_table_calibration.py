@@ -83,6 +83,24 @@ def test_the_stated_corner_noise_matches_the_error_in_photographs() -> None:
     assert error == pytest.approx(float(np.sqrt(np.mean(np.square(view.noise)))), rel=0.25)
 
 
+def test_markers_of_another_dictionary_or_with_other_ids_are_named() -> None:
+    references = truths.markers(np.random.default_rng(51))
+    pose = CameraPose.above((0.32, 0.14, 0.7), spin=0.4)
+    image = SheetCamera(CAMERA, 1).photograph(truths.markers_sheet(references), pose, noise=2.0)
+    seen = observe_markers(image, "", CAMERA, references.dictionary)
+    assert isinstance(seen, MarkerView) and len(seen.ids) > 4
+    ids = ", ".join(map(str, sorted(seen.ids.tolist())))
+    other = observe_markers(image, "", CAMERA, "5X5_1000")
+    assert other == (
+        f"no marker of 5X5_1000 is visible, but the markers {ids} of APRILTAG_36H11 are; correct "
+        "the dictionary"
+    )
+    wanted = observe_markers(image, "", CAMERA, references.dictionary, [1, 2])
+    assert isinstance(wanted, str) and f"but the markers {ids} of" in wanted
+    empty = np.full_like(image, 128)
+    assert observe_markers(empty, "", CAMERA, "5X5_1000") == "no marker of 5X5_1000 is visible"
+
+
 def test_a_marker_displaced_in_one_image_is_named() -> None:
     references, views = views_of(7)
     rays = views[2].rays.copy()
