@@ -15,7 +15,7 @@ import contextlib
 import os
 import struct
 from collections.abc import Iterator, Mapping
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -240,7 +240,10 @@ def _read(path: Path) -> tuple[Bag, Typestore]:
         missing = f"{file} is damaged after {len(messages)} messages: {error}"
     messages.sort(key=lambda message: message.stamp)
     missing = missing or _missing_parts(path)
-    store = _store_of(schemas, file)
+    try:
+        store = _store_of(frozenset(schemas.values()))
+    except BagError as error:
+        raise BagError(f"{file}: {error}") from error
     return Bag(file, tuple(messages), missing, partial(_decode, store)), store
 
 
@@ -384,13 +387,19 @@ def _text(body: memoryview, start: int) -> tuple[str, int]:
     return bytes(body[start + 4 : end]).decode(), end
 
 
-def _store_of(schemas: Mapping[int, tuple[str, str, str]], file: Path) -> Typestore:
-    """Return the message types as the bag defines them. The installed types may be newer."""
+@lru_cache(maxsize=8)
+def _store_of(schemas: frozenset[tuple[str, str, str]]) -> Typestore:
+    """Return the message types as a bag defines them. The installed types may be newer. Bags of one
+    version share their types, because most of the time to read a bag is spent on them.
+
+    Raises:
+        BagError: a definition cannot be read; the message does not name the bag.
+    """
     store = get_typestore(Stores.EMPTY)
-    for name, form, text in schemas.values():
+    for name, form, text in schemas:
         try:
             types = get_types_from_idl(text) if "idl" in form else get_types_from_msg(text, name)
             store.register(types)
         except (TypesysError, KeyError, ValueError, SyntaxError) as error:
-            raise BagError(f"{file}: the definition of {name} cannot be read: {error}") from error
+            raise BagError(f"the definition of {name} cannot be read: {error}") from error
     return store
