@@ -81,6 +81,7 @@ WRONG: list[tuple[str, str]] = [
     ("demo --goal 0 -221 0", "(103)"),
     ("demo --objects 9", "choose from 1, 2"),
     ("demo --seed 99999999999", "limits 0 to 2147483647"),
+    ("goal --preset line", "at least two objects, and cell.yaml has one"),
     ("goal 1e400 0 0", "'1e400' is not a finite number"),
     ("goal 10mm 0 0", "'10mm' is not a finite number"),
     ("goal 1,5 0 0", "'1,5' is not a finite number"),
