@@ -34,8 +34,8 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
         cells = {} if arguments.preset is None else cells_of(load_cell(arguments.cell))
         if len(cells) == 1:
             raise ConfigurationError(
-                f"a preset needs at least two objects, and {arguments.cell or 'cell.yaml'} has one; "
-                "give the file of the running cell with --cell"
+                f"a preset needs at least two objects, and {arguments.cell or 'cell.yaml'} has "
+                "one; give the file of the running cell with --cell"
             )
         layout = None if arguments.layout is None else load(LayoutFile, arguments.layout)
     except ConfigurationError as error:

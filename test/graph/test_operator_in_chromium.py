@@ -581,7 +581,8 @@ def test_the_tables_of_an_arrangement_stay_inside_their_cards(tmp_path: Path) ->
         assert "at the start 250.0 mm, after tap 10 166.9 mm" in spoken
         driver.execute_script(
             "arrangement.several = true; renderTaps();"
-            "$('run-filter').value = whenOf(arguments[0]); renderRuns([arguments[0]], '', '', true)",
+            "$('run-filter').value = whenOf(arguments[0]);"
+            "renderRuns([arguments[0]], '', '', true);",
             run,
         )
         assert len(driver.find_elements("css selector", "#runs tbody tr")) == 1

@@ -117,6 +117,7 @@ WRONG: list[tuple[str, str]] = [
     ("object new FILES/text.png --name a --height 12 --output o.yaml", "read as an image"),
     ("object new FILES/text.png --name a --height -3 --output o.yaml", "limits 0.5 to 500"),
     ("report FILES", "FILES"),
+    ("report /nowhere/run", "/nowhere/run does not exist"),
     ("evaluate --probe", "only with --table"),
     ("evaluate --all --trials 10 --report FILES/empty.yaml", "is a file, not a folder"),
     ("single-tap --namespace left", "only with --attach"),
