@@ -32,6 +32,11 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     exit code, as the verb ``goal``."""
     try:
         cells = {} if arguments.preset is None else cells_of(load_cell(arguments.cell))
+        if len(cells) == 1:
+            raise ConfigurationError(
+                f"a preset needs at least two objects, and {arguments.cell or 'cell.yaml'} has "
+                "one; give the file of the running cell with --cell"
+            )
         layout = None if arguments.layout is None else load(LayoutFile, arguments.layout)
     except ConfigurationError as error:
         return print_refusal(error)

@@ -21,7 +21,7 @@ from typing import IO
 
 from tapping_cell.configuration.cell import Cell
 from tapping_cell.nodes import MODULES, security
-from tapping_cell.nodes.cell_identity import STATE, cell_key, claim
+from tapping_cell.nodes.cell_identity import STATE, cell_key, claim, state_folder
 
 SIMULATED = ("sim_world", "camera_pose", "tap_planner", "scara_arm", "tapper_trigger")
 HARDWARE = ("overhead_camera", "camera_pose", "tap_planner", "scara_arm", "tapper_trigger")
@@ -364,7 +364,8 @@ def has_participants(domain: int) -> bool:
 
 def own_domain() -> Domain:
     """Return the domain of ROS_DOMAIN_ID if this variable is set. Otherwise return a domain that no
-    other run and no node of any user on this machine uses. It is reserved until this process ends.
+    other run and no node of any user on this machine uses, and in which no cell of this user has
+    stored anything. It is reserved until this process ends.
 
     Raises:
         GraphError: every domain is in use, or ROS_DOMAIN_ID is not a domain.
@@ -372,12 +373,13 @@ def own_domain() -> Domain:
     if os.environ.get("ROS_DOMAIN_ID", ""):
         return Domain(domain_number(), None)
     for number in random.sample(OWN_DOMAINS, len(OWN_DOMAINS)):
-        if has_participants(number):
+        # A stop that was stored there would stop this run too.
+        if has_participants(number) or any(state_folder(cell_key(number, "")).glob("*")):
             continue
         held = claim(f"domain/{number}")
         if held is not None:
             return Domain(number, held)
     raise GraphError(
-        f"all {len(OWN_DOMAINS)} ROS domains are in use by other runs on this machine; end "
-        "one of them"
+        f"all {len(OWN_DOMAINS)} ROS domains are in use by other runs on this machine, or a cell "
+        f"has stored files in {STATE}; end a run, or choose the domain with ROS_DOMAIN_ID"
     )

@@ -181,10 +181,12 @@ def bag_file(path: Path) -> Path:
     """Return the MCAP file in a bag's folder, or ``path`` itself if it is a file.
 
     Raises:
-        BagError: there is no MCAP file, or more than one.
+        BagError: there is no such path, no MCAP file, or more than one.
     """
     if path.is_file():
         return path
+    if not path.exists():
+        raise BagError(f"{path} does not exist; check the name")
     files = sorted(path.glob("*.mcap"))
     if len(files) != 1:
         remedy = "give one of them, or join the parts of one run with `ros2 bag convert`"

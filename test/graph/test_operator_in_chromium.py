@@ -568,10 +568,27 @@ def test_the_tables_of_an_arrangement_stay_inside_their_cards(tmp_path: Path) ->
                 )
                 # clientWidth is rounded to whole pixels.
                 assert beyond < 1, f"{name} at a width of {width}: {beyond} px beyond its card"
+            goal = driver.execute_script(
+                "$('arrange-card').hidden = false;"
+                "const row = arrangement.row('aluminium disk', false);"
+                "row.ghost.touched = true; row.pose = {x: -235.9, y: -120.3, angle: -120.1};"
+                "arrangement.describe(row); row.progress.textContent = 'being tapped';"
+                "document.querySelector('#arrange-table tbody').replaceChildren(row.element);"
+                "return [row.goal.scrollWidth, row.goal.clientWidth];"
+            )
+            assert goal[0] <= goal[1], f"the goal covers the progress at a width of {width}: {goal}"
         spoken = driver.find_element("id", "plot").get_attribute("aria-label")
         assert "at the start 250.0 mm, after tap 10 166.9 mm" in spoken
+        driver.execute_script(
+            "arrangement.several = true; renderTaps();"
+            "$('run-filter').value = whenOf(arguments[0]);"
+            "renderRuns([arguments[0]], '', '', true);",
+            run,
+        )
+        assert len(driver.find_elements("css selector", "#runs tbody tr")) == 1
         shown = [each.text for each in driver.find_elements("css selector", "#plot text")]
         assert "start" in shown and "10" in shown and "1" not in shown
+        assert "square 2: tolerance 1 mm" in shown
     finally:
         driver.quit()
 

@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 
 from tapping_cell.cli import graph
 from tapping_cell.cli.graph import Graph, GraphError, domain_number, own_domain
-from tapping_cell.nodes.cell_identity import cell_key, claim
+from tapping_cell.nodes.cell_identity import cell_key, claim, state_folder
+from tapping_cell.nodes.kept_content import KeptContent
 
 # few letters, so that many examples are equal or differ only in their separators
 TOKEN = st.builds(str.__add__, st.sampled_from("aB_"), st.text("aB_9", max_size=3))
@@ -82,6 +83,23 @@ def test_a_domain_with_nodes_is_not_chosen(
         node.bind(("", 7400 + 250 * free.number + 10 + 2 * participant))
         with pytest.raises(GraphError, match="in use"):
             own_domain()
+    chosen = own_domain()
+    assert chosen.number == free.number and chosen.held is not None
+    chosen.held.close()
+
+
+def test_a_domain_with_a_stored_stop_is_not_chosen(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A run that was interrupted, such as a commissioning, can leave a stop behind."""
+    monkeypatch.delenv("ROS_DOMAIN_ID")
+    free = own_domain()
+    assert free.held is not None
+    free.held.close()
+    monkeypatch.setattr(graph, "OWN_DOMAINS", [free.number])
+    stop = KeptContent(state_folder(cell_key(free.number, "")) / "stop-scara_arm.json")
+    stop.keep({"sources": ["enabling device released"], "asserted": False})
+    with pytest.raises(GraphError, match="in use"):
+        own_domain()
+    stop.keep(None)
     chosen = own_domain()
     assert chosen.number == free.number and chosen.held is not None
     chosen.held.close()

@@ -318,7 +318,7 @@ class CellView:
         if mode.word != self._mode:
             if mode.word == "stopped":
                 self.note_halt(sentence)
-            elif mode.word == "fault":
+            elif mode.word == "fault" and mode.code not in STOPS:  # a stop that is being cleared
                 self.note(sentence, "bad")
             self._mode = mode.word
         return {

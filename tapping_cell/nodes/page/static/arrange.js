@@ -130,10 +130,13 @@ class Arrangement {
 
   describe(row) {
     const has = row.ghost.touched, part = (tag, text) => create(tag, {}, text);
-    row.element.classList.toggle("refused", has && Boolean(row.trouble));
-    const texts = has && row.pose ? [part("span", `${signed(row.pose.x)}, ${signed(row.pose.y)} mm`), part("span", signed(row.pose.angle, 1, "\u00b0"))]
+    const refused = has && Boolean(row.trouble);
+    row.element.classList.toggle("refused", refused);
+    row.goal.colSpan = refused ? 2 : 1;  // the reason is long
+    row.progress.hidden = refused;
+    const texts = has && row.pose ? [part("span", `${signed(row.pose.x)}, ${signed(row.pose.y)}`), part("span", signed(row.pose.angle, 1, "\u00b0"))]
       : [part("span", has ? "not placed yet" : "none")];
-    if (has && row.trouble) texts.push(part("small", row.trouble));
+    if (refused) texts.push(part("small", row.trouble));
     row.goal.replaceChildren(...texts);
   }
 

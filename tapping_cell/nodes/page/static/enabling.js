@@ -40,7 +40,8 @@ function renderEnabling(setUp, connected, arm) {
   if (!connected || !setUp || !setUp.on) releaseEnabling();
   const works = arm && ["homing", "moving", "in position", "withdrawing"].includes(arm.state);
   setText($("enabled"), !setUp || !setUp.enabled ? "Not enabled: nothing moves."
-    : works ? `Enabled: the arm is ${arm.state}, and a release stops it.` : "Enabled: the arm may move.");
+    : works ? `Enabled: the arm is ${arm.state}, and a release stops it.`
+    : !arm || ["idle", "not homed"].includes(arm.state) ? "Enabled: the arm may move." : "Held, but the arm is not ready: nothing moves.");
 }
 
 for (const name of ["pointerdown", "keydown"]) $("enable").addEventListener(name, holdEnabling);

@@ -13,7 +13,7 @@ function drawn(name, attributes, text = "") {
 // Plot the distance to the goal before the first tap of an object and after each tap, on a logarithmic
 // scale. In an arrangement, the first tap of an object need not be tap 1.
 // The area within the tolerance is filled.
-function renderPlot(taps, tolerance) {
+function renderPlot(taps, tolerance, object) {
   const plot = $("plot");
   const first = taps.length ? taps[0].number - 1 : 0;
   const points = taps.length && taps[0].before[0] !== null ? [[first, taps[0].before[0]]] : [];
@@ -36,11 +36,11 @@ function renderPlot(taps, tolerance) {
   }
   const step = Math.ceil((last - first) / 10);
   for (let tap = first; tap <= last; tap += step) parts.push(drawn("text", { x: x(tap), y: bottom + 14, "text-anchor": "middle" }, tap > first ? `${tap}` : "start"));
-  parts.push(drawn("text", { x: left + 4, y: y(tolerance) + 13 }, `tolerance ${tolerance} mm`));
+  parts.push(drawn("text", { x: left + 4, y: y(tolerance) + 13 }, `${object ? `${object}: ` : ""}tolerance ${tolerance} mm`));
   parts.push(drawn("polyline", { points: points.map(([tap, mm]) => `${x(tap).toFixed(1)},${y(mm).toFixed(1)}`).join(" ") }));
   for (const [tap, mm] of points) parts.push(drawn("circle", { cx: x(tap), cy: y(mm), r: 3.5 }));
   plot.replaceChildren(...parts);
-  plot.setAttribute("aria-label", "Distance to the goal: "
+  plot.setAttribute("aria-label", `Distance ${object ? `of ${object} ` : ""}to the goal: `
     + points.map(([tap, mm]) => `${tap > first ? `after tap ${tap}` : "at the start"} ${mm.toFixed(1)} mm`).join(", "));
 }
 
@@ -49,6 +49,11 @@ function runLink(key, run, file, text) {
   const link = create("a", file === "report.html" ? { href, target: "_blank", rel: "noopener" } : { href }, text);
   link.setAttribute("aria-label", `${text} of ${run.name}`);
   return link;
+}
+
+function whenOf(run) {
+  return run.began === null ? run.name : new Date(1000 * run.began).toLocaleString([], {
+    month: "2-digit", day: "2-digit", hour: "2-digit", minute: "2-digit", hour12: false });
 }
 
 const chosenRuns = new Set();
@@ -76,12 +81,10 @@ function renderRuns(runs, key, hint, connected) {
   const body = $("runs").tBodies[0];
   $("runs-scroll").hidden = !runs.length;
   const words = $("run-filter").value.trim().toLowerCase().split(/\s+/);
-  const found = runs.filter((run) => words.every((word) => `${run.name} ${run.outcome} ${run.error}`.toLowerCase().includes(word)));
+  const found = runs.filter((run) => words.every((word) => `${whenOf(run)} ${run.name} ${run.outcome} ${run.error}`.toLowerCase().includes(word)));
   if (isShown(body, key, found)) return;
   body.replaceChildren(...found.map((run) => {
     const row = create("tr", { className: run.outcome === "refused" ? "refused" : "", title: run.name });
-    const when = run.began === null ? run.name : new Date(1000 * run.began).toLocaleString([], {
-      month: "2-digit", day: "2-digit", hour: "2-digit", minute: "2-digit", hour12: false });
     const goal = run.objects > 1 ? `${run.objects} objects` : run.goal ? `${run.goal.map((n) => n === null ? "?" : n.toFixed(0)).join(", ")}\u00b0` : "?";
     const residual = run.residual && run.residual[0] !== null
       ? `${run.residual[0].toFixed(2)} mm, ${run.residual[1].toFixed(1)}\u00b0` : "";
@@ -92,7 +95,7 @@ function renderRuns(runs, key, hint, connected) {
       renderComparison(runs, key, connected);
     });
     row.insertCell().append(box);
-    for (const text of [when, goal, run.outcome, run.taps === null ? "" : String(run.taps), residual]) row.insertCell().textContent = text;
+    for (const text of [whenOf(run), goal, run.outcome, run.taps === null ? "" : String(run.taps), residual]) row.insertCell().textContent = text;
     row.cells[3].title = run.error;
     const files = row.insertCell();
     if (run.report) files.append(runLink(key, run, "report.html", "report"), " ");

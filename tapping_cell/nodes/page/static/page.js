@@ -387,7 +387,7 @@ function renderTaps() {
   $("taps").hidden = $("taps-note").hidden = !taps.length;
   const last = taps.length ? taps[taps.length - 1].object : state.plan.object, one = taps.every((tap) => tap.object === last);
   setText($("taps-title"), arrangement.several && last && one ? `Taps of ${last}` : "Taps");
-  renderPlot(taps.filter((tap) => tap.object === last), state.plan.tolerance && state.plan.tolerance[0]);
+  renderPlot(taps.filter((tap) => tap.object === last), state.plan.tolerance && state.plan.tolerance[0], arrangement.several ? last : "");
   $("no-taps").hidden = Boolean(taps.length);
   if (isShown(body, taps, state.plan.tolerance)) return;
   const [mm, degrees] = state.plan.tolerance || [0, 0];
