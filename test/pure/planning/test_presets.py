@@ -10,6 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tapping_cell.configuration.cell import load_cell
+from tapping_cell.configuration.preset_layout import preset_layout
 from tapping_cell.planning import PlanningError
 from tapping_cell.planning.arrangement import preset_goals
 from tapping_cell.se2 import Pose
@@ -62,3 +64,12 @@ def test_unknown_presets_and_single_objects_are_refused() -> None:
         preset_goals("star", two, 0.03, MIDDLE)
     with pytest.raises(PlanningError, match="not 1"):
         preset_goals("swap", table([(0.0, 0.0, 0.0)]), 0.03, MIDDLE)
+
+
+def test_a_line_that_is_longer_than_the_table_is_refused_and_a_grid_is_not() -> None:
+    cell = load_cell()
+    cells = {f"o{k}": cell for k in range(8)}
+    poses = table([(0.0, 0.0, 0.0)] * 8)
+    with pytest.raises(PlanningError, match="a line of 8 objects does not fit on the table: 'o"):
+        preset_layout(cells, "line", poses)
+    assert len(preset_layout(cells, "grid", poses)) == 8
