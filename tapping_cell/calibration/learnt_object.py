@@ -69,6 +69,9 @@ _MIN_SCATTER = 0.002
 _POLYGON_IMPACT = 0.03
 """Relative standard deviation of the rotation per distance of polygons, whose impulses depend on
 the contact in more ways than slope and lever describe."""
+_OTHER_IMPACT = 0.3
+"""Relative standard deviation of the rotations if an impact transmits half of the planned
+tangential impulse."""
 _CONTRADICTION = 3.0
 """Scatter of the tracks, in standard deviations, above which they are not used."""
 _PRIOR = np.array([0.25, 0.20, 0.35, 0.05, 0.02])
@@ -186,7 +189,8 @@ def learn_object(
     ) / (2.0 * _STEP)
     information = slopes.T @ slopes
     spread = np.sqrt(np.diag(np.linalg.pinv(information)))
-    spread[:2] = np.hypot(spread[:2], _model_errors(taps, start, expected, errors[0, rows]))
+    of_model = _model_errors(taps, start, expected, errors[0, rows])
+    spread[:2] = np.hypot(spread[:2], of_model)
     alone = np.sqrt(np.diag(np.linalg.pinv(information[:2, :2])))
     wide = float(t.ppf(0.975, count - 2))
     friction, factor, speed, slope, rubbing = np.exp(start[:5]).tolist()
@@ -199,7 +203,7 @@ def learn_object(
             spread[1],
             wide,
             content.torque_factor,
-            fitted=bool(alone[1] < _UNKNOWN),
+            fitted=bool(max(alone[1], of_model[1]) < _UNKNOWN),
         ),
         _about("launch_speed", speed, spread[2], wide, 1.0, fitted=bool(told[0])),
         _about("tangential_impulse", slope, spread[3], wide, 1.0, fitted=bool(told[1])),
@@ -331,6 +335,16 @@ class _Taps:
         )
         return np.concatenate([distance[seen], rotation[seen & turns]])
 
+    def transmitted(self, parameters: Array) -> float:
+        """Return the ratio of the tangential impulses to the planned ones; 1 if enough tracks show
+        the spin, which then does not depend on the impulses."""
+        seen = np.isfinite(self._spin + self._spin_std + self.launches.speed)
+        planned = np.abs(self._slope)
+        if seen.sum() >= _FEWEST_TRACKS or not planned.any():
+            return 1.0
+        slope, rubbing = np.exp(parameters[3:5]).tolist()
+        return float(np.minimum(slope * planned, rubbing).sum() / planned.sum())
+
     def _impulses(self, slope: float, rubbing: float, lever: float) -> Array:
         """Return the launches (n, 3) of impulses of unit speed, whose slopes are changed."""
         limit = math.exp(rubbing)
@@ -409,12 +423,14 @@ def _model_errors(taps: _Taps, found: Array, predicted: Array, error: Array) -> 
     Distances that depend on the length of the tap otherwise than predicted show that the striker
     hits the object again. The distance is proportional to the square of the impulse, so the second
     impulse has half of this error, and may change the rotation by its own share. In a track, the
-    object then seems to slide farther.
+    object then seems to slide farther. If the tangential impulses are much smaller than planned,
+    the impact is not that of the model, and the small rotations have other causes too.
     """
     length = np.log(np.hypot(predicted[:, 0], predicted[:, 1]))
     farther = float(np.polyfit(length, error, 1)[0] * np.std(length))
     decay = decay_of(taps.body.gamma, math.exp(found[1]))
     impact = _POLYGON_IMPACT if isinstance(taps.body, Polygon) else 0.0
+    impact = math.hypot(impact, _OTHER_IMPACT * (1.0 / taps.transmitted(found) - 1.0))
     rotation = math.hypot(SLIDE_MODEL[1], impact, 0.5 * farther)
     return np.array([math.hypot(SLIDE_MODEL[0], farther), rotation * decay / (decay - 1.0)])
 

@@ -112,10 +112,12 @@ FOREIGN_TAPS = 15
 IMAGE_S, POSE_STD, ANGLE_STD = 1 / 30, 5e-5, math.radians(0.05)
 
 
-def foreign_fit(seed: int, *, tracked: bool) -> tuple[LearntObject, float, float]:
+def foreign_fit(
+    seed: int, *, tracked: bool, contact_friction: tuple[float, float] = (0.1, 0.35)
+) -> tuple[LearntObject, float, float]:
     """Learn a round object whose mass, restitution and contact friction are not those of the file,
     from poses at rest, and with ``tracked`` also from images at 30 Hz. Return the true friction and
-    torque factor too."""
+    torque factor too. ``contact_friction``: range of its true value."""
     content, friction, factor = drawn(3 * (seed // 2) + seed % 2)
     random = np.random.default_rng(seed)
     true = replace(
@@ -124,7 +126,7 @@ def foreign_fit(seed: int, *, tracked: bool) -> tuple[LearntObject, float, float
         torque_factor=factor,
         mass=content.mass * float(np.exp(random.uniform(-0.7, 0.7))),
         restitution=float(random.uniform(0.5, 1.0)),
-        contact_friction=float(random.uniform(0.1, 0.35)),
+        contact_friction=float(random.uniform(*contact_friction)),
     )
     tap = replace(content.tap(STRIKER), smallest_distance=0.0)
     length = np.exp(random.uniform(math.log(0.004), math.log(0.04), FOREIGN_TAPS))
@@ -178,6 +180,16 @@ def test_intervals_contain_the_true_values_in_a_foreign_impact(tracked: bool) ->
         assert estimate["launch_speed"].fitted == tracked
     assert all(inside)
     assert (max(width) < 0.06) if tracked else (min(width) > 0.3)
+
+
+@pytest.mark.parametrize("tracked", [False, True])
+def test_taps_without_tangential_impulses_do_not_tell_the_torque_factor(tracked: bool) -> None:
+    found, _, factor = foreign_fit(0, tracked=tracked, contact_friction=(0.005, 0.01))
+    learnt = next(entry for entry in found.estimates if entry.name == "torque_factor")
+    if learnt.fitted:
+        assert tracked and learnt.low < factor < learnt.high
+    else:
+        assert any("torque factor is not known well" in line for line in advice(found))
 
 
 def test_a_floor_of_the_scatter_is_learnt() -> None:
