@@ -22,6 +22,7 @@ import pytest
 from cell_processes import processes, run, start
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rich.console import Console
 from std_msgs.msg import Bool
 from tapping_cell_msgs.msg import (
@@ -57,6 +58,13 @@ STILL = 2e-4
 LAST_REPORT_S = 0.4
 """Maximum time from the arm's last report that it is in position, which may be lost with its node,
 to a strike, s."""
+EVERY = QoSProfile(
+    depth=1000,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.TRANSIENT_LOCAL,
+)
+"""QoS of the states that are judged. On a busy machine this process reads several messages at once,
+and a queue of one would lose the short report that the arm is in position."""
 TIMEOUT_S = 240.0
 """Safety timeout of one wait, s; long enough for a slow and busy machine."""
 pytestmark = pytest.mark.timeout(4 * TIMEOUT_S)
@@ -83,11 +91,11 @@ class Cell:
         self.stop = node.create_publisher(Bool, "emergency_stop", LATCHED)
         self.reset = node.create_client(ResetWorld, "reset_world")
         for kind, topic, messages, profile in (
-            (PlanState, "plan_state", self.plans, LATCHED),
+            (PlanState, "plan_state", self.plans, EVERY),
             (TapCommand, "tap_command", self.commands, COMMAND),
-            (ArmState, "arm_state", self.arm, LATCHED),
-            (TapperState, "tapper_state", self.tapper, LATCHED),
-            (PoseStamped, "ground_truth", self.truths, 10),
+            (ArmState, "arm_state", self.arm, EVERY),
+            (TapperState, "tapper_state", self.tapper, EVERY),
+            (PoseStamped, "ground_truth", self.truths, EVERY.depth),
             (UnknownObjects, "unknown_objects", self.unknown, LATCHED),
             (ObjectContact, "true_contacts", self.contacts, 10),
         ):
