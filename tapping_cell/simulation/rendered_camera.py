@@ -401,23 +401,26 @@ class SceneRenderer:
         rolling = self.settings.rolling
         # Each row is exposed during its own part of the image's time. Strips of rows in which the
         # object moves by less than a quarter of a pixel are rendered together.
-        strips = int(np.clip(np.ceil(4.0 * travel * rolling), 1, 64)) if travel else 1
+        strips = int(np.clip(np.ceil(4.0 * travel * rolling), 1, 64))
         blurs = int(np.clip(np.ceil(travel * (1.0 - rolling)), 1, 12))
         during = (np.arange(blurs) + 0.5) / blurs
         times = np.linspace(0.0, 1.0, len(path))
+        rows, columns = window
         result = np.empty(self._light[window].shape, dtype=np.float32)
-        edges = np.linspace(window[0].start, window[0].stop, strips + 1).astype(int)
+        edges = np.linspace(rows.start, rows.stop, strips + 1).astype(int)
         for top, bottom in itertools.pairwise(edges.tolist()):
             begin = rolling * (top + bottom - 1) / 2.0 / (self.view.camera.height - 1)
-            rows = slice(max(top - _STRIP_MARGIN, window[0].start), bottom + _STRIP_MARGIN)
-            strip = slice(rows.start, min(rows.stop, window[0].stop)), window[1]
+            first, last = (
+                max(top - _STRIP_MARGIN, rows.start),
+                min(bottom + _STRIP_MARGIN, rows.stop),
+            )
+            strip = slice(first, last), columns
             total = np.zeros(self._light[strip].shape, dtype=np.float32)
-            for share in during:
-                at = begin + (1.0 - rolling) * share
+            for at in begin + (1.0 - rolling) * during:
                 pose = np.array([np.interp(at, times, values) for values in path.T])
                 total += self._patch(drawn, strip, pose, floor[strip])
-            kept = total[top - strip[0].start : bottom - strip[0].start]
-            result[top - window[0].start : bottom - window[0].start] = kept / np.float32(blurs)
+            kept = total[top - first : bottom - first]
+            result[top - rows.start : bottom - rows.start] = kept / np.float32(blurs)
         return window, result
 
     def _patch(

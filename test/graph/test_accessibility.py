@@ -15,7 +15,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from test_operator_in_chromium import BROWSER, DRIVER, FLAGS, Page, demanding, opened, webdriver
+from test_operator_in_chromium import (
+    DRIVER,
+    Page,
+    browser_options,
+    demanding,
+    opened,
+    webdriver,
+)
 
 from tapping_cell.report import objects_page
 from tapping_cell.report.run import Run, RunObject, TapRow
@@ -79,10 +86,7 @@ def audit(driver: webdriver.Chrome, what: str) -> dict[str, list[str]]:
 
 @pytest.fixture
 def driver(tmp_path: Path) -> Iterator[webdriver.Chrome]:
-    options = webdriver.ChromeOptions()
-    options.binary_location = BROWSER
-    for flag in (*FLAGS, f"--user-data-dir={tmp_path / 'browser'}"):
-        options.add_argument(flag)
+    options = browser_options(tmp_path)
     made = webdriver.Chrome(options=options, service=webdriver.ChromeService(DRIVER))
     yield made
     made.quit()

@@ -162,6 +162,15 @@ class Page:
         return str(self.element("planned").get_attribute("data-tap"))
 
 
+def browser_options(folder: Path) -> webdriver.ChromeOptions:
+    """Return the options of a browser that keeps its files below ``folder``."""
+    options = webdriver.ChromeOptions()
+    options.binary_location = BROWSER
+    for flag in (*FLAGS, f"--user-data-dir={folder / 'browser'}"):
+        options.add_argument(flag)
+    return options
+
+
 @contextmanager
 def opened(folder: Path, **more: object) -> Iterator[Page]:
     """Start a cell with its page in a browser; ``more``: parameters of arm and tapper."""
@@ -177,10 +186,7 @@ def opened(folder: Path, **more: object) -> Iterator[Page]:
         "operator_page": {"port": port, "stop_port": 0, "runs": folder / "runs"},
         RECORDER: {"folder": folder / "runs", "pictures": False},
     }
-    options = webdriver.ChromeOptions()
-    options.binary_location = BROWSER
-    for flag in (*FLAGS, f"--user-data-dir={folder / 'browser'}"):
-        options.add_argument(flag)
+    options = browser_options(folder)
     downloads = folder / "downloads"
     options.add_experimental_option("prefs", {"download.default_directory": str(downloads)})
     options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
@@ -529,10 +535,7 @@ def test_two_fingers_jog_the_arm_until_the_first_one_slides_away(tmp_path: Path)
 
 
 def test_the_tables_of_an_arrangement_stay_inside_their_cards(tmp_path: Path) -> None:
-    options = webdriver.ChromeOptions()
-    options.binary_location = BROWSER
-    for flag in (*FLAGS, f"--user-data-dir={tmp_path / 'browser'}"):
-        options.add_argument(flag)
+    options = browser_options(tmp_path)
     tap = {
         **{"speed": 1169, "outcome": "fired", "method": "optimal", "before": [250, 1]},
         **{"commanded": [-108.8, -133.0, -115.0], "predicted": [-108.4, -132.4, -115.9]},

@@ -57,12 +57,18 @@ class Detection:
     corners: Array
 
 
+def _dictionaries() -> dict[str, str]:
+    """Return the names (``DICT_...``) of OpenCV's dictionaries, by their names in upper case
+    without this prefix."""
+    return {n.upper().removeprefix("DICT_"): n for n in dir(cv2.aruco) if n.startswith("DICT_")}
+
+
 def dictionary_name(name: str) -> str:
     """Return OpenCV's name (``DICT_...``) of a dictionary, e.g. apriltag_36h11, tag36h11 or 4X4_50.
 
     Raises MarkerError for a name that OpenCV does not have.
     """
-    known = {n.upper().removeprefix("DICT_"): n for n in dir(cv2.aruco) if n.startswith("DICT_")}
+    known = _dictionaries()
     word = name.strip().upper().removeprefix("DICT_").replace("-", "_")
     for candidate in (word, word.removeprefix("ARUCO_"), word.replace("TAG", "APRILTAG_", 1)):
         if candidate in known:
@@ -153,15 +159,13 @@ def find_markers(
 def markers_instead(image: Image, wanted: str) -> tuple[str, list[int]]:
     """Return the dictionary of OpenCV other than ``wanted`` with the most markers in an image, and
     the ids of these markers; an empty name if no dictionary has two, which can be by chance."""
-    names = {n for n in dir(cv2.aruco) if n.startswith("DICT_") and n.upper() == n}
-    best, best_ids = "", [0]
+    others = _dictionaries()
+    others.pop(dictionary_name(wanted).upper().removeprefix("DICT_"))
     # A short dictionary has the same first markers as the longer ones of its kind.
-    by_length = sorted(names, key=lambda name: (len(marker_dictionary(name).bytesList), name))
-    for name in by_length:
-        ids = sorted({found.id for found in find_markers(image, name)})
-        if len(ids) > len(best_ids) and name != dictionary_name(wanted).upper():
-            best, best_ids = name.removeprefix("DICT_"), ids
-    return best, best_ids if best else []
+    by_length = sorted(others, key=lambda name: (len(marker_dictionary(name).bytesList), name))
+    seen = {name: sorted({found.id for found in find_markers(image, name)}) for name in by_length}
+    best = max(by_length, key=lambda name: len(seen[name]))
+    return (best, seen[best]) if len(seen[best]) > 1 else ("", [])
 
 
 @dataclass(frozen=True, slots=True)
