@@ -247,8 +247,8 @@ class TableTrial(Trial):
     def _put_back(self) -> None:
         """Spread the objects on the table, and take away those without an object file."""
         self.physical.unknown = ()
-        for name in self.physical.table.worlds:
-            if name in self.physical.absent:
-                continue
+        table = self.physical.table
+        present = [name for name in table.worlds if name not in self.physical.absent]
+        for name in present:
             self.oracle.note_hand(name)
-            self.physical.table.place(name, self.physical.table.free_pose(name))
+        table.spread(present)

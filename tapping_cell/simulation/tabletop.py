@@ -77,7 +77,7 @@ class Tabletop:
         self._met: dict[frozenset[str], float] = {}
         self._contacts: list[TrueContact] = []
         self._tapped = next(iter(self.worlds))
-        self._spread(truth)
+        self._place_all(truth)
 
     @property
     def poses(self) -> Mapping[str, Pose]:
@@ -175,30 +175,38 @@ class Tabletop:
             "objects, or give their poses in the simulation parameters (key 'further_starts')"
         )
 
-    def take_contacts(self) -> list[TrueContact]:
-        """Return the contacts between objects since the last call."""
-        contacts, self._contacts = self._contacts, []
-        return contacts
+    def spread(self, names: Sequence[str], placed: Sequence[str] = ()) -> None:
+        """Place objects at random poses, free of each other and of the objects ``placed``.
 
-    def _spread(self, truth: TruthFile) -> None:
-        """Place the further objects at the poses in the simulation parameters, or at random free
-        poses."""
-        own, *further = self.worlds
-        for name, start in zip(further, truth.further_starts, strict=False):
-            self.worlds[name].place(Pose(*start))
-        given = [own, *further[: len(truth.further_starts)]]
+        Raises:
+            ValueError: there is not enough free space.
+        """
         for attempt in range(RESTARTS):
-            placed = list(given)
+            done = list(placed)
             try:
-                for name in further[len(truth.further_starts) :]:
-                    self.worlds[name].place(self.free_pose(name, placed))
-                    placed.append(name)
+                for name in names:
+                    self.worlds[name].place(self.free_pose(name, done))
+                    done.append(name)
             except ValueError:
                 # The objects that were already placed may be in unfavourable places, so start over.
                 if attempt == RESTARTS - 1:
                     raise
             else:
                 return
+
+    def take_contacts(self) -> list[TrueContact]:
+        """Return the contacts between objects since the last call."""
+        contacts, self._contacts = self._contacts, []
+        return contacts
+
+    def _place_all(self, truth: TruthFile) -> None:
+        """Place the further objects at the poses in the simulation parameters, or at random free
+        poses."""
+        own, *further = self.worlds
+        for name, start in zip(further, truth.further_starts, strict=False):
+            self.worlds[name].place(Pose(*start))
+        count = len(truth.further_starts)
+        self.spread(further[count:], [own, *further[:count]])
 
     def _advance_all(self, now: float) -> None:
         self._now = max(self._now, now)

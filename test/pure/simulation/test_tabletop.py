@@ -185,6 +185,15 @@ def test_the_striker_hits_only_the_first_object_on_its_path() -> None:
 def test_objects_without_a_start_pose_are_placed_apart_on_the_table(seed: int) -> None:
     files = (CELL.object, *(named(SQUARE, f"square {n}") for n in range(1, 4)))
     top = Tabletop(files, STRIKER, STROKE, TruthFile((0.0, 0.0, 0.0)), seed, SIZE)
+    assert_apart(top)
+    # It does not matter where the objects lay before.
+    for world in top.worlds.values():
+        world.place(Pose(0.0, 0.0, 0.0))
+    top.spread(list(top.worlds))
+    assert_apart(top)
+
+
+def assert_apart(top: Tabletop) -> None:
     worlds = list(top.worlds.values())
     for number, one in enumerate(worlds):
         assert abs(one.pose.x) <= SIZE[0] / 2 - 0.06 and abs(one.pose.y) <= SIZE[1] / 2 - 0.06
