@@ -381,7 +381,7 @@ class _Fitter:
         the position of the target in this view (NaN if there is no solution)."""
         points = np.column_stack([self.target.points[view.ids], np.zeros(len(view.ids))])
         camera = fit.matrix, fit.coefficients
-        good, turn, shift = cv2.solvePnP(points, view.pixels, *camera, flags=cv2.SOLVEPNP_IPPE)
+        good, turn, shift = cv2.solvePnP(points, view.pixels, *camera, flags=cv2.SOLVEPNP_SQPNP)
         if not good:
             return points, np.full(3, np.nan), np.full(3, np.nan)
         turn, shift = cv2.solvePnPRefineLM(points, view.pixels, *camera, turn, shift)

@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -28,6 +27,7 @@ from tapping_cell.vision.markers.detection import (
     markers_instead,
 )
 from tapping_cell.vision.markers.edges import MarkerEdges, refine, straight_corners
+from tapping_cell.vision.table.fit import candidate_poses
 
 _LENS_NOISE = 0.03
 """Standard deviation, in pixels, of a corner's position error due to residual lens distortion."""
@@ -228,20 +228,14 @@ def _turn(angle: float) -> Array:
 def _square_up(view: MarkerView, sizes: Mapping[int, float]) -> tuple[CameraPose, Array]:
     """Estimate from one image the camera's pose over the plane and the markers' poses (M, 3) on it.
 
-    Each marker gives two candidate planes. The plane on which the projections of all markers are
+    Each marker gives candidate planes. The plane on which the projections of all markers are
     closest to squares of their size is chosen and then refined by the same criterion.
     """
     side = np.array([sizes[int(i)] for i in view.ids])
-    candidates = []
-    for row, size in enumerate(side):
-        rays = view.rays[row]
+    candidates: list[CameraPose] = []
+    for rays, size in zip(view.rays, side, strict=True):
         square = np.column_stack([UNIT_CORNERS * size, np.zeros(4)])
-        number, turns, shifts, _ = cv2.solvePnPGeneric(
-            square, rays[:, None], np.eye(3), np.zeros(5), flags=cv2.SOLVEPNP_IPPE_SQUARE
-        )
-        for turn, shift in zip(turns[:number], shifts[:number], strict=True):
-            rotation = np.asarray(cv2.Rodrigues(turn)[0], dtype=float)
-            candidates.append(CameraPose(rotation, np.asarray(shift, dtype=float).ravel()))
+        candidates += candidate_poses(square, rays)
     best = min(candidates, key=lambda pose: float((_squareness(pose, view, side)[0] ** 2).sum()))
     # Refine the plane's tilt and distance; the frame's position in the plane has no effect.
     free = np.eye(6)[[0, 1, 5]]

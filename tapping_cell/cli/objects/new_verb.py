@@ -1,11 +1,13 @@
 """Create the object file of a new object from one image of it.
 
-Put the object alone on the table, below the camera, and take an image that shows the table's
-reference markers. The object's outline, and its marker if it has one, are read from the image; only
-the height has to be measured. Friction and torque factor are set to typical values: `object learn`
-measures them with the cell.
+Put the object on the table, below the camera, and take an image that shows the table's reference
+markers. The object's outline, and its marker if it has one, are read from the image; only the
+height has to be measured. If several objects lie on the table, a message gives their places, and
+--at chooses one. Friction and torque factor are set to typical values: `object learn` measures them
+with the cell.
 
   python -m tapping_cell object new shot.png --name bracket --height 12 --output bracket.yaml
+  python -m tapping_cell object new shot.png --at 80 -35 --name nut --height 6 --output nut.yaml
 
 Without a marker, the orientation of an object with a rotationally symmetric outline (a disk, a
 square) is ambiguous: stick a marker on it.
@@ -38,6 +40,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         required=True,
         metavar="MM",
         help="height of the object's top above the table in mm",
+    )
+    parser.add_argument(
+        "--at",
+        nargs=2,
+        type=float,
+        metavar=("X", "Y"),
+        help="point on the object in the frame table in mm, if several objects lie on the table",
     )
     parser.add_argument(
         "--mass",
@@ -85,7 +94,8 @@ def run(arguments: argparse.Namespace) -> int:
         image = read_photograph(arguments.image, (camera.width, camera.height))
         height = arguments.height / 1000
         try:
-            traced = trace_object(image.pixels, camera, table, height, arguments.dictionary)
+            at = None if arguments.at is None else (arguments.at[0] / 1e3, arguments.at[1] / 1e3)
+            traced = trace_object(image.pixels, camera, table, height, arguments.dictionary, at)
         except ValueError as error:
             raise ValueError(image.explain(str(error), visible=False)) from error
         made = _object(arguments, traced)

@@ -1,24 +1,26 @@
 """Trace shape and marker of an unknown flat object in one image.
 
 The image is rectified to the plane of the object's top, which removes lens distortion and
-perspective, so that all pixels have the same size in m. The area that differs from the table's
-brightness is the object. Its rim is then located with sub-pixel accuracy, and a circle or a convex
-polygon is fitted to it. Near the edge of the image, a side wall is visible beside the top, so the
-object should lie below the camera.
+perspective, so that all pixels have the same size in m. The regions that differ from the table's
+brightness are objects, and one of them is chosen. Its rim is then located with sub-pixel accuracy,
+and a circle or a convex polygon is fitted to it. Near the edge of the image, a side wall is visible
+beside the top, so the object should lie below the camera.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from tapping_cell.se2 import inverse, transform_points
 from tapping_cell.vision.camera import Array, CameraModel, Image, View
 from tapping_cell.vision.markers.detection import (
+    Detection,
     Effort,
     MarkerError,
     ObjectMarker,
@@ -40,9 +42,16 @@ _FREE_RIM = 1.4
 the marker."""
 _MIN_CONTRAST = 8.0
 """Minimum difference in grey levels between an object and the table."""
+_TEXTURE = 4.0
+"""Minimum difference between an object and the table, relative to the standard deviation of the
+table's own brightness."""
 _SHADOW = 0.4
 """Minimum contrast of a pixel, as a fraction of the object's contrast, for the pixel to belong to
 the object and not to a soft shadow."""
+_LEVEL = 1.4
+"""Ratio of two successive thresholds of the contrast at which regions are searched."""
+_SOFT = 2.0
+"""Ratio of the sharpness of two rims above which the softer one belongs to a shadow."""
 _EVERY = 8
 """Spacing, in pixels of the rectified image, of the grid nodes that are projected into the camera
 image. Between nodes, the position in the camera image is interpolated."""
@@ -51,15 +60,36 @@ _APART = 0.05
 object."""
 _MIN_REACH = 0.006
 """Minimum radius (m) of an object; smaller regions are dirt."""
+_BESIDE = 0.002
+"""Distance (m) from an object within which a region that differs from the table in the other
+direction is its shadow, its print or a reflection."""
+_ONLY_MARKER = 1.7
+"""Minimum area of an object relative to that of its marker. A smaller region is the marker with its
+white border."""
+_MOST_PLACES = 6
+"""Largest number of objects whose places are listed."""
+_BLUR = 1.5
+"""Standard deviation, in pixels, of the smoothing before regions are searched."""
+_DISC = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
+"""Neighbourhood of a pixel that removes thin connections between regions."""
 _ACROSS = np.arange(-6.0, 6.01, 0.25)
 """Sample positions across the rim, in pixels of the rectified image."""
+_NEIGHBOURS = 9
+"""Number of adjacent points of the rim with whose median a point is compared."""
+_ASTRAY = 1.0
+"""Distance, in pixels, from this median above which a point is not used."""
 _HOLLOW = 1.04
 """Ratio of the areas of convex hull and outline above which an object is not convex."""
 _ROUND = 0.012
 """Maximum deviation (rms) of the rim from a circle, relative to the radius, for a round object."""
-_CORNER = 0.025
-"""Maximum distance of the rim from the polygon's sides in the search for corners, relative to the
-outline's mean radius."""
+_PIXELS = 1.6
+"""Maximum deviation in pixels of the rectified image, for objects with a small image."""
+_FAR, _STRAY = 3.0, 0.15
+"""Distance of a stray point from a circle, relative to the median distance, and the maximum share
+of such points."""
+_CORNERS = (0.025, 0.04, 0.06)
+"""Maximum distances of the rim from the polygon's sides in the search for corners, relative to the
+outline's mean radius. The coarser ones serve rounded corners."""
 _BESIDE_CORNER = 0.12
 """Fraction at each end of a side that is not used in its line fit, because corners appear
 rounded."""
@@ -95,23 +125,43 @@ def trace_object(
     table: ReferenceMap,
     height: float,
     dictionary: str | None = None,
+    at: tuple[float, float] | None = None,
 ) -> TracedObject:
-    """Trace the single object in an image; its top is ``height`` (m) above the table.
+    """Trace an object in an image; its top is ``height`` (m) above the table.
 
     The object's marker may be any marker of ``dictionary`` (None: the table's dictionary) except
-    the reference markers.
+    the reference markers. ``at``: a point (m) in ``table`` on the object; None if the object is
+    alone on the table or the only one with a marker.
 
     Raises:
-        NotTraced: the image shows no table, no object, several objects, or no simple shape.
+        NotTraced: the image shows no table, no object or no simple shape, or it does not show which
+            of several objects is meant.
     """
     view = _view(image, camera, table)
-    marker, marker_pose = _marker(image, view, table, height, dictionary or table.dictionary)
     plane = _Plane.over(view, table, height)
     seen = plane.rectified(image)
-    excess = _excess(seen, plane.free(table))
-    mask, brighter = _object(excess, plane, marker_pose)
-    rim = plane.places(_rim(excess if brighter else -excess, mask))
-    radius, corners, middle, deviation = _shape(rim)
+    known = (plane.free(table) > 0) & np.isfinite(seen)
+    excess, least = _excess(seen, known)
+    found = _markers(image, table, dictionary or table.dictionary)
+    middles = [view.on_plane(one.corners, height).mean(axis=0) for one in found]
+    region = _chosen(_regions(excess, known, least, plane), plane, least, middles, at)
+    on_it = [
+        one
+        for one, middle in zip(found, middles, strict=True)
+        if region.encloses(plane.pixels(middle))
+    ]
+    marker, marker_pose = None, None
+    if on_it:
+        marker, marker_pose = _marker(image, view, height, on_it, dictionary or table.dictionary)
+        if region.area * plane.step**2 < _ONLY_MARKER * marker.size**2:
+            raise NotTraced(
+                f"only marker {marker.id} and its border differ from the table: put a plain sheet "
+                "of contrasting brightness under the object; if the marker covers the whole "
+                "object, write its shape by hand"
+            )
+    brighter = region.brighter
+    rim = plane.places(_rim(excess if brighter else -excess, region.filled(excess.shape)))
+    radius, corners, middle, deviation = _shape(rim, plane.step)
     angle = marker_pose[2] if marker_pose is not None else _direction(corners)
     pose = (float(middle[0]), float(middle[1]), angle)
     vertices = None
@@ -139,24 +189,26 @@ def _view(image: Image, camera: CameraModel, table: ReferenceMap) -> View:
     return tracker.view
 
 
-def _marker(
-    image: Image, view: View, table: ReferenceMap, height: float, dictionary: str
-) -> tuple[ObjectMarker | None, tuple[float, float, float] | None]:
-    """The marker on the object and its pose in ``table``; None if there is no marker."""
+def _markers(image: Image, table: ReferenceMap, dictionary: str) -> list[Detection]:
+    """Return the markers of ``dictionary`` that are not reference markers."""
     references = {marker.id for marker in table.markers}
     if dictionary != table.dictionary:
         references = set()
-    found = [
+    return [
         one
         for one in find_markers(image, dictionary, effort=Effort.THOROUGH)
         if one.id not in references
     ]
-    if not found:
-        return None, None
+
+
+def _marker(
+    image: Image, view: View, height: float, found: list[Detection], dictionary: str
+) -> tuple[ObjectMarker, tuple[float, float, float]]:
+    """The marker on the object and its pose in ``table``."""
     if len(found) > 1:
         raise NotTraced(
-            f"{len(found)} markers besides those of the table are seen (ids "
-            f"{', '.join(str(one.id) for one in found)}): leave one object on the table"
+            f"{len(found)} markers are seen on the object (ids "
+            f"{', '.join(str(one.id) for one in found)}): leave one marker on it"
         )
     number = found[0].id
     edges, sure = measure(
@@ -238,9 +290,11 @@ class _Plane:
         return mask
 
 
-def _excess(seen: NDArray[np.float32], free: Mask) -> NDArray[np.float32]:
-    """Return the difference of every pixel's brightness from the table's; 0 for pixels on reference
-    markers or outside the image.
+def _excess(
+    seen: NDArray[np.float32], known: NDArray[np.bool_]
+) -> tuple[NDArray[np.float32], float]:
+    """Return the difference of every pixel's brightness from the table's (0 for pixels that are not
+    ``known``), and the minimum difference of an object.
 
     The table's brightness is modelled by a quadratic surface. The surface is fitted iteratively to
     the pixels whose brightness is close to it.
@@ -250,7 +304,6 @@ def _excess(seen: NDArray[np.float32], free: Mask) -> NDArray[np.float32]:
     one = np.ones_like(seen)
     x, y = one * u[None, :], one * v[:, None]
     terms = np.stack([one, x, y, x * x, x * y, y * y], axis=-1)
-    known = (free > 0) & np.isfinite(seen)
     if not known.any():
         raise NotTraced("no part of the table is in the image")
     every = max(1, int(known.sum()) // 40_000)
@@ -262,63 +315,166 @@ def _excess(seen: NDArray[np.float32], free: Mask) -> NDArray[np.float32]:
         light, *_ = np.linalg.lstsq(a[near], b[near], rcond=None)
         off = np.abs(b - a @ light)
         near = off < max(3.0 * float(np.median(off[near])), 3.0)
-    excess = seen - (terms @ light.astype(np.float32))
-    return np.asarray(np.where(known, excess, 0.0), dtype=np.float32)
+    excess = np.where(known, seen - (terms @ light.astype(np.float32)), 0.0)
+    soft = cv2.GaussianBlur(np.asarray(excess, dtype=np.float32), (0, 0), _BLUR)
+    texture = float(np.std(soft[known][::every][near]))
+    return np.asarray(excess, dtype=np.float32), max(_MIN_CONTRAST, _TEXTURE * texture)
 
 
-def _object(
-    excess: NDArray[np.float32], plane: _Plane, marker: tuple[float, float, float] | None
-) -> tuple[Mask, bool]:
-    """Return a mask (255) of the object without holes, and whether it is brighter than the table.
+@dataclass(frozen=True, slots=True, eq=False)
+class _Region:
+    """A region that differs from the table, in pixels of the rectified image."""
 
-    Regions darker than the table and regions brighter than the table are searched. The largest
-    region is the object. Regions that differ from the table in the other direction are ignored,
-    because they are the object's shadow or its print.
-    """
-    least = math.pi * (_MIN_REACH / plane.step) ** 2
-    found = [
-        (cv2.contourArea(outline), outline, brighter)
-        for brighter in (False, True)
-        for outline in _things(excess if brighter else -excess, least)
-        if marker is None or _encloses(outline, plane.pixels(np.array([marker[:2]]))[0])
-    ]
-    if not found:
+    outline: NDArray[np.int32]
+    brighter: bool
+    cut: bool = False
+    """Whether it reaches a reference marker or the edge of the visible area."""
+    contrast: float = 0.0
+    """Median difference from the table, grey levels."""
+
+    @property
+    def area(self) -> float:
+        """Area without holes."""
+        return float(cv2.contourArea(self.outline))
+
+    def encloses(self, pixel: Array) -> bool:
+        """Return whether a pixel (x, y) is inside."""
+        return cv2.pointPolygonTest(self.outline, (float(pixel[0]), float(pixel[1])), False) >= 0
+
+    def filled(self, shape: tuple[int, ...]) -> Mask:
+        """Return a mask (255) of the region without holes."""
+        mask = np.zeros(shape, dtype=np.uint8)
+        cv2.drawContours(mask, [self.outline], 0, (255,), cv2.FILLED)
+        return mask
+
+
+def _regions(
+    excess: NDArray[np.float32], known: NDArray[np.bool_], least: float, plane: _Plane
+) -> list[_Region]:
+    """Return the regions that differ from the table by at least ``least`` grey levels, by area,
+    without the shadows and the print of larger ones."""
+    found = sorted(
+        (
+            one
+            for brighter in (False, True)
+            for one in _things(excess, brighter, known, least, plane)
+        ),
+        key=lambda one: -one.area,
+    )
+    beside = 2 * round(_BESIDE / plane.step) + 1
+    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (beside, beside))
+    kept: list[_Region] = []
+    around: dict[bool, Mask] = {side: np.zeros(excess.shape, np.uint8) for side in (False, True)}
+    for one in found:
+        mask = one.filled(excess.shape)
+        if (mask & around[not one.brighter]).any():
+            continue
+        kept.append(one)
+        around[one.brighter] |= np.asarray(cv2.dilate(mask, kernel), dtype=np.uint8)
+    return kept
+
+
+def _things(
+    excess: NDArray[np.float32],
+    brighter: bool,
+    known: NDArray[np.bool_],
+    least: float,
+    plane: _Plane,
+) -> list[_Region]:
+    """Return the regions that are brighter or darker than the table."""
+    soft = np.asarray(cv2.GaussianBlur(excess if brighter else -excess, (0, 0), _BLUR))
+    slope = np.hypot(cv2.Sobel(soft, -1, 1, 0, scale=0.125), cv2.Sobel(soft, -1, 0, 1, scale=0.125))
+    unknown = cv2.dilate(np.asarray(~known, dtype=np.uint8), _DISC)
+    unknown[[0, -1], :] = unknown[:, [0, -1]] = 1
+    smallest = math.pi * (_MIN_REACH / plane.step) ** 2
+
+    def inside(outer: Mask, level: float) -> list[tuple[_Region, float]]:
+        """Return the regions above a level, or the parts of them with a much sharper rim, each with
+        the sharpness of its rim, 1/pixel."""
+        found = []
+        for outline in _outlines((soft > level) & (outer > 0), smallest):
+            region = _Region(outline, brighter)
+            mask = region.filled(soft.shape)
+            at = outline[:, 0]
+            contrast = float(np.median(soft[(mask > 0) & (soft > level)]))
+            sharpness = float(np.median(slope[at[:, 1], at[:, 0]])) / contrast
+            region = replace(region, contrast=contrast)
+            parts = inside(mask, _LEVEL * level)
+            sharper = [one for one in parts if one[1] > _SOFT * sharpness]
+            found += sharper or [(region, sharpness)]
+        return found
+
+    found = []
+    for rough, _ in inside(np.ones(soft.shape, dtype=np.uint8), least):
+        own = (soft > _SHADOW * rough.contrast) & (rough.filled(soft.shape) > 0)
+        for outline in _outlines(own, smallest):
+            region = replace(rough, outline=outline)
+            cut = bool((region.filled(soft.shape) & unknown).any())
+            found.append(replace(region, cut=cut))
+    return found
+
+
+def _outlines(mask: NDArray[np.bool_], smallest: float) -> list[NDArray[np.int32]]:
+    """Return the outlines of the connected regions of at least ``smallest`` pixels."""
+    clean = cv2.morphologyEx(np.asarray(mask, dtype=np.uint8), cv2.MORPH_OPEN, _DISC)
+    outlines, _ = cv2.findContours(clean, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    return [np.asarray(one, np.int32) for one in outlines if cv2.contourArea(one) >= smallest]
+
+
+def _chosen(
+    regions: list[_Region],
+    plane: _Plane,
+    least: float,
+    markers: list[Array],
+    at: tuple[float, float] | None,
+) -> _Region:
+    """Return the region at the point ``at``, at the only marker, or the only one."""
+    points = [np.array(at)] if at is not None else markers
+    if len(points) == 1:
+        here = [one for one in regions if one.encloses(plane.pixels(points[0]))]
+        if at is None and not here:
+            raise NotTraced(
+                "the object with the marker does not differ from the table: put a plain sheet of "
+                "contrasting brightness under it"
+            )
+        if not here:
+            x, y = points[0]
+            raise NotTraced(
+                f"no object lies at x {1e3 * x:.0f}, y {1e3 * y:.0f} mm of the table; there are"
+                f" {_places(regions, plane)}"
+            )
+        # A part of a larger object may have been chosen, such as its print.
+        regions = [max(here, key=lambda one: one.area)]
+    whole = [one for one in regions if not one.cut] or regions
+    if not whole:
         raise NotTraced(
             f"no area at least {2e3 * _MIN_REACH:.0f} mm wide differs from the table by "
-            f"{_MIN_CONTRAST:.0f} grey levels: put the object on the table; if it is there, put "
-            "a plain sheet of contrasting brightness under it"
+            f"{least:.0f} grey levels: put the object on the table; if it is there, put a plain "
+            "sheet of contrasting brightness under it"
         )
-    area, outline, brighter = max(found, key=lambda one: one[0])
-    apart = [
-        one
-        for _, one, other in found
-        if other == brighter and one is not outline and cv2.contourArea(one) > _APART * area
-    ]
-    if apart:
-        raise NotTraced(f"{len(apart) + 1} objects lie on the table: leave one object on it")
-    x, y, width, height = cv2.boundingRect(outline)
-    if x <= 0 or y <= 0 or x + width >= plane.size[0] or y + height >= plane.size[1]:
-        raise NotTraced("the object reaches the edge of the visible area: put it below the camera")
-    filled = np.zeros(excess.shape, dtype=np.uint8)
-    cv2.drawContours(filled, [outline], 0, (255,), cv2.FILLED)
-    return filled, brighter
+    objects = [one for one in whole if one.area > _APART * whole[0].area]
+    if len(objects) > 1:
+        raise NotTraced(
+            f"{len(objects)} objects lie on the table, {_places(objects, plane)}: leave one object "
+            "on it, or choose one by a point on it (--at X Y)"
+        )
+    if objects[0].cut:
+        raise NotTraced(
+            "the object reaches a reference marker or the edge of the visible area: put it between "
+            "the reference markers, below the camera"
+        )
+    return objects[0]
 
 
-def _things(excess: NDArray[np.float32], least: float) -> list[NDArray[np.int32]]:
-    """Outlines of regions brighter than the table and larger than ``least`` pixels."""
-    strong = excess[excess > _MIN_CONTRAST]
-    if strong.size < least:
-        return []
-    threshold = max(_MIN_CONTRAST, _SHADOW * float(np.median(strong)))
-    mask = np.asarray(255 * (cv2.GaussianBlur(excess, (0, 0), 1.5) > threshold), dtype=np.uint8)
-    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
-    mask = np.asarray(cv2.morphologyEx(mask, cv2.MORPH_OPEN, kernel), dtype=np.uint8)
-    contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    return [np.asarray(one, dtype=np.int32) for one in contours if cv2.contourArea(one) >= least]
-
-
-def _encloses(outline: NDArray[np.int32], pixel: Array) -> bool:
-    return cv2.pointPolygonTest(outline, (float(pixel[0]), float(pixel[1])), False) > 0
+def _places(regions: list[_Region], plane: _Plane) -> str:
+    """Return where the largest of these regions are."""
+    told = []
+    for one in regions[:_MOST_PLACES]:
+        x, y = 1e3 * plane.places(one.outline[:, 0].mean(axis=0))
+        wide = 1e3 * plane.step * math.sqrt(one.area)
+        told.append(f"x {x:.0f}, y {y:.0f} mm (about {wide:.0f} mm wide)")
+    more = len(regions) - len(told)
+    return "; ".join([*told, *([f"and {more} smaller ones"] if more else [])]) or "none"
 
 
 def _rim(excess: NDArray[np.float32], mask: Mask) -> Array:
@@ -354,7 +510,9 @@ def _rim(excess: NDArray[np.float32], mask: Mask) -> Array:
             "the object's rim is not sharp: improve the focus, or use softer light so that the "
             "object casts no hard shadow"
         )
-    return np.asarray(rough[good] + place[:, None] * outward[good])
+    # Dirt beside the rim displaces a few points.
+    near = np.abs(place - scipy.ndimage.median_filter(place, _NEIGHBOURS, mode="wrap")) < _ASTRAY
+    return np.asarray((rough[good] + place[:, None] * outward[good])[near])
 
 
 def _sampled(image: NDArray[np.float32], at: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -365,10 +523,10 @@ def _sampled(image: NDArray[np.float32], at: NDArray[np.float32]) -> NDArray[np.
     return np.asarray(read, dtype=np.float32)
 
 
-def _shape(rim: Array) -> tuple[float | None, Array | None, Array, float]:
+def _shape(rim: Array, step: float) -> tuple[float | None, Array | None, Array, float]:
     """Fit a circle or a polygon to a rim (N, 2). Return the radius (None for a polygon), the
     corners (n, 2; None for a circle), the centre (2,), and the root mean square distance of the rim
-    from the shape, all in m."""
+    from the shape, all in m. ``step``: side of a pixel, m."""
     if signed_area(rim) < 0.0:
         rim = rim[::-1]
     hull = cv2.convexHull(rim.astype(np.float32))[:, 0].astype(float)
@@ -378,15 +536,17 @@ def _shape(rim: Array) -> tuple[float | None, Array | None, Array, float]:
             f"the object's outline is not convex (its hull is {100 * (hollow - 1):.0f} % larger): "
             "the cell taps disks, rings and convex polygons; give the corners of its hull by hand"
         )
-    middle, radius = _circle(rim)
-    off = np.hypot(*(rim - middle).T) - radius
-    round_by = float(np.sqrt(np.mean(off**2)))
-    corners = _corners(rim, radius) if round_by > 0.3 * _ROUND * radius else None
-    if corners is not None:
-        polygon_by = float(np.sqrt(np.mean(_distances(rim, corners) ** 2)))
-        if polygon_by < round_by:
-            return None, corners, centroid(corners), polygon_by
-    if round_by > _ROUND * radius:
+    middle, radius, round_by = _circle(rim)
+    limit = max(_ROUND * radius, _PIXELS * step)
+    if round_by > 0.3 * limit:
+        for tolerance in _CORNERS:
+            corners = _corners(rim, tolerance * radius)
+            if corners is None:
+                continue
+            polygon_by = float(np.sqrt(np.mean(_distances(rim, corners) ** 2)))
+            if polygon_by < min(round_by, limit):
+                return None, corners, centroid(corners), polygon_by
+    if round_by > limit:
         raise NotTraced(
             f"the outline is neither a disk (off by {1e3 * round_by:.1f} mm) nor a convex polygon "
             f"of at most {_MAX_CORNERS} corners; give its corners by hand"
@@ -394,20 +554,28 @@ def _shape(rim: Array) -> tuple[float | None, Array | None, Array, float]:
     return radius, None, middle, round_by
 
 
-def _circle(points: Array) -> tuple[Array, float]:
-    """Centre and radius of the least-squares circle through points (N, 2)."""
-    centre = points.mean(axis=0)
-    p = points - centre
-    a = np.column_stack([2.0 * p, np.ones(len(p))])
-    found, *_ = np.linalg.lstsq(a, (p * p).sum(axis=1), rcond=None)
-    middle = found[:2]
-    return centre + middle, math.sqrt(float(found[2] + middle @ middle))
+def _circle(points: Array) -> tuple[Array, float, float]:
+    """Centre and radius of the least-squares circle through points (N, 2), and the root mean square
+    distance of the points from it. A few points that are far off, such as those at a shadow, are
+    not used."""
+    used = np.ones(len(points), dtype=bool)
+    for _ in range(4):
+        centre = points[used].mean(axis=0)
+        p = points[used] - centre
+        a = np.column_stack([2.0 * p, np.ones(len(p))])
+        found, *_ = np.linalg.lstsq(a, (p * p).sum(axis=1), rcond=None)
+        middle, radius = centre + found[:2], math.sqrt(float(found[2] + found[:2] @ found[:2]))
+        off = np.abs(np.hypot(*(points - middle).T) - radius)
+        limit = max(_FAR * float(np.median(off)), float(np.quantile(off, 1.0 - _STRAY)))
+        used = off <= limit
+    return middle, radius, float(np.sqrt(np.mean(off[used] ** 2)))
 
 
-def _corners(rim: Array, radius: float) -> Array | None:
-    """Corners of the convex polygon along the rim, each the intersection of two fitted sides."""
+def _corners(rim: Array, tolerance: float) -> Array | None:
+    """Corners of the convex polygon along the rim, each the intersection of two fitted sides; None
+    if there is none within ``tolerance`` (m)."""
     line = rim.astype(np.float32)[:, None, :]
-    rough = cv2.approxPolyDP(line, _CORNER * radius, True)[:, 0].astype(float)
+    rough = cv2.approxPolyDP(line, tolerance, True)[:, 0].astype(float)
     if not 3 <= len(rough) <= _MAX_CORNERS:
         return None
     start = [int(np.argmin(np.hypot(*(rim - corner).T))) for corner in rough]

@@ -73,19 +73,12 @@ class TableFit:
 def initial_pose(camera: CameraModel, points: ArrayLike, corners: ArrayLike) -> CameraPose | None:
     """Compute the pose from table points (N, 2) in m and their pixels (N, 2); None if impossible.
 
-    The pose is computed by IPPE (Collins and Bartoli, as implemented in OpenCV) and refined by
-    least squares.
+    The best of the :func:`candidate_poses` after a refinement by least squares.
     """
     flat = at_height(np.asarray(points, dtype=float).reshape(-1, 2))
     rays = camera.rays(np.asarray(corners, dtype=float).reshape(-1, 2))
-    eye = np.eye(3)
-    number, turns, shifts, _ = cv2.solvePnPGeneric(
-        flat, rays[:, None], eye, np.zeros(5), flags=cv2.SOLVEPNP_IPPE
-    )
     best, least = None, np.inf
-    for turn, shift in zip(turns[:number], shifts[:number], strict=True):
-        rotation, _ = cv2.Rodrigues(turn)
-        candidate = CameraPose(np.asarray(rotation, dtype=float), np.asarray(shift, float).ravel())
+    for candidate in candidate_poses(flat, rays):
         for _ in range(4):
             jacobian, residual = _linearised(candidate, flat, rays)
             step = np.linalg.lstsq(jacobian, residual, rcond=None)[0]
@@ -95,6 +88,24 @@ def initial_pose(camera: CameraModel, points: ArrayLike, corners: ArrayLike) -> 
         if candidate.position[2] > 0.0 and error < least:
             best, least = candidate, error
     return best
+
+
+def candidate_poses(points: Array, rays: Array) -> list[CameraPose]:
+    """Compute camera poses from points (N, 3) of a plane, in m, and their directions (N, 2).
+
+    IPPE (Collins and Bartoli) gives both poses between which a distant plane is ambiguous, but it
+    fails if the camera looks exactly along the normal. SQPnP (Terzakis and Lourakis) gives one
+    pose, also then.
+    """
+    found = []
+    for method in (cv2.SOLVEPNP_IPPE, cv2.SOLVEPNP_SQPNP):
+        number, turns, shifts, _ = cv2.solvePnPGeneric(
+            points, rays[:, None], np.eye(3), np.zeros(5), flags=method
+        )
+        for turn, shift in zip(turns[:number], shifts[:number], strict=True):
+            rotation = np.asarray(cv2.Rodrigues(turn)[0], dtype=float)
+            found.append(CameraPose(rotation, np.asarray(shift, dtype=float).ravel()))
+    return found
 
 
 def reference_rays(camera: CameraModel, edges: MarkerEdges) -> Array:

@@ -6,6 +6,8 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from scenes import CAMERA, REFERENCES
 
 from tapping_cell.se2 import transform_points
@@ -15,6 +17,7 @@ from tapping_cell.vision.outline.tracing import NotTraced, TracedObject, trace_o
 
 POSE = CameraPose.above((0.01, -0.02, 0.7), spin=0.02)
 ROUND = np.linspace(0.0, 2.0 * np.pi, 180, endpoint=False)
+SQUARE = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
 WEDGE = np.array([[-0.04, -0.02], [0.05, -0.02], [0.01, 0.04], [-0.04, 0.02]])
 
 
@@ -94,11 +97,70 @@ def test_a_shadow_beside_a_bright_object_is_not_part_of_it() -> None:
     assert farthest(corners_on_table(found), true) < 4e-4
 
 
-def test_two_objects_on_the_table_are_refused() -> None:
+def test_one_of_several_objects_is_chosen_by_a_point_on_it() -> None:
+    first = ObjectMarker("apriltag_36h11", 7, 0.025, 0.012)
+    bright = ObjectOutline(0.012, True, vertices=tuple(map(tuple, WEDGE.tolist())))
+    scene = SceneRenderer(
+        CAMERA, POSE, REFERENCES, disk(0.04), first, others=(SceneObject(WEDGE, bright),)
+    )
+    image = scene.render(np.array([(-0.08, 0.0, 0.0), (0.08, 0.03, 0.5)]))
+    found = trace_object(image, CAMERA, REFERENCES, 0.012, at=(0.08, 0.03))
+    assert found.brighter and found.marker is None
+    true = transform_points(np.array([0.08, 0.03, 0.5]), WEDGE)
+    assert farthest(corners_on_table(found), true) < 4e-4
+    # The only object with a marker needs no point.
+    assert trace_object(image, CAMERA, REFERENCES, 0.012).radius == pytest.approx(0.04, abs=4e-4)
+    with pytest.raises(NotTraced, match=r"no object lies at x 0, y 90 mm .* x 8\d, y 3\d mm"):
+        trace_object(image, CAMERA, REFERENCES, 0.012, at=(0.0, 0.09))
+
+
+def test_several_objects_are_refused_with_their_places() -> None:
     marker = ObjectMarker("apriltag_36h11", 7, 0.025, 0.012)
     second = SceneObject(disk(0.03), ObjectMarker("apriltag_36h11", 8, 0.025, 0.012))
-    with pytest.raises(NotTraced, match="leave one object"):
+    with pytest.raises(NotTraced, match=r"2 objects .* x 20\d|19\d, y -?0 mm .* leave one object"):
         traced(disk(0.04), marker, (0.0, 0.0, 0.0), others=(second,))
+
+
+def test_an_object_that_is_cut_is_refused() -> None:
+    appearance = ObjectOutline(0.012, False, vertices=tuple(map(tuple, WEDGE.tolist())))
+    reference = REFERENCES.markers[0]
+    with pytest.raises(NotTraced, match="reaches a reference marker or the edge"):
+        traced(WEDGE, appearance, (reference.x * 0.85, reference.y * 0.85, 0.0))
+
+
+@settings(max_examples=settings.default.max_examples // 3)
+@given(
+    st.floats(0.0, 0.4),
+    st.floats(0.0, 6.0),
+    st.floats(-math.pi, math.pi),
+    st.booleans(),
+    st.integers(0, 1000),
+)
+def test_uneven_light_and_a_grained_table_do_not_change_the_shape(
+    dark: float, grain: float, angle: float, brighter: bool, seed: int
+) -> None:
+    """``dark``: share of the light that is lost in the corners. ``grain``: standard deviation of
+    the table's brightness, which varies across the boards of a wooden table."""
+    appearance = ObjectOutline(0.012, brighter, vertices=tuple(map(tuple, WEDGE.tolist())))
+    pose = (0.02, 0.01, angle)
+    scene = SceneRenderer(CAMERA, POSE, REFERENCES, WEDGE, appearance)
+    image = scene.render(pose).astype(float)
+    rows, columns = image.shape
+    y, x = np.mgrid[-1 : 1 : rows * 1j, -1 : 1 : columns * 1j]
+    boards = np.random.default_rng(seed).standard_normal(rows // 3 + 1).repeat(3)[:rows]
+    shade = (image + grain * boards[:, None]) * (1.0 - 0.5 * dark * (x**2 + y**2))
+    found = trace_object(
+        np.clip(shade, 0, 255).astype(np.uint8), CAMERA, REFERENCES, 0.012, at=(0.02, 0.01)
+    )
+    assert found.brighter == brighter
+    true = transform_points(np.array(pose), WEDGE)
+    assert farthest(corners_on_table(found), true) < (8e-4 if brighter else 1.5e-3)
+
+
+def test_a_marker_on_an_object_as_bright_as_the_table_is_not_the_object() -> None:
+    marker = ObjectMarker("apriltag_36h11", 7, 0.025, 0.012)
+    with pytest.raises(NotTraced, match="only marker 7 and its border differ"):
+        traced(0.0155 * SQUARE, marker, (0.0, 0.0, 0.3))
 
 
 def test_an_empty_table_and_an_image_without_a_table_are_refused() -> None:

@@ -9,6 +9,8 @@ import math
 import cv2
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scenes import CAMERA, DISK, MARKER, POSE, REFERENCES, renderer
 
 from tapping_cell.se2 import Pose, transform_points, wrap_angle
@@ -21,8 +23,10 @@ from tapping_cell.vision import (
     PoseTracker,
     Problem,
     ReferenceMap,
+    View,
 )
 from tapping_cell.vision.annotate import annotate
+from tapping_cell.vision.table.fit import initial_pose
 from tapping_cell.vision.table.tracker import TableTracker
 
 HOME = np.array([0.1, 0.05, 0.4])
@@ -392,3 +396,19 @@ def test_an_uncalibrated_resolution_is_refused():
     seen = Film(PoseTracker(half, REFERENCES, MARKER)).show(np.zeros((1024, 1280), np.uint8))
     assert seen.problem is Problem.WRONG_IMAGE
     assert "640 x 512" in seen.sentence
+
+
+@given(
+    st.sampled_from([0.0, 1e-9, 1e-3, 0.2]),
+    st.sampled_from([0.0, math.pi / 2, 0.3]),
+    st.integers(2, len(REFERENCES.markers)),
+)
+def test_the_initial_pose_is_that_of_the_camera(tilt: float, spin: float, count: int) -> None:
+    """Also if the camera looks exactly along the normal of the table, as simulated cameras do."""
+    pose = CameraPose.above((0.03, -0.02, 0.7), spin=spin).moved(np.array([tilt, 0, 0, 0, 0, 0]))
+    corners = REFERENCES.corners()[:count].reshape(-1, 2)
+    camera = dataclasses.replace(CAMERA, distortion=())
+    found = initial_pose(camera, corners, View(camera, pose).project(corners))
+    assert found is not None
+    assert np.allclose(found.position, pose.position, atol=1e-6)
+    assert np.allclose(found.rotation, pose.rotation, atol=1e-6)
