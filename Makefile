@@ -25,7 +25,8 @@ test:
 campaign:
 	@. ./env.sh; python -m benchmarks --section simulated-time --count 20000 --write; python -m lab mutate --write; \
 		python test/support/file_readers.py; python test/support/serial_codecs.py; \
-		HYPOTHESIS_PROFILE=campaign python -m pytest test/pure -n auto -q --timeout 0 $(ARGS)
+		export HYPOTHESIS_PROFILE=campaign; python -m pytest test/graph -q $(ARGS); \
+		python -m pytest test/pure -n auto -q --timeout 0 $(ARGS)
 
 oldest:
 	@. ./env.sh; python environment/run_oldest.py $(ARGS)

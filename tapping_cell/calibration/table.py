@@ -233,9 +233,9 @@ def _square_up(view: MarkerView, sizes: Mapping[int, float]) -> tuple[CameraPose
     """
     side = np.array([sizes[int(i)] for i in view.ids])
     candidates: list[CameraPose] = []
-    for rays, size in zip(view.rays, side, strict=True):
+    for row, size in enumerate(side):
         square = np.column_stack([UNIT_CORNERS * size, np.zeros(4)])
-        candidates += candidate_poses(square, rays)
+        candidates += candidate_poses(square, view.rays[row])
     best = min(candidates, key=lambda pose: float((_squareness(pose, view, side)[0] ** 2).sum()))
     # Refine the plane's tilt and distance; the frame's position in the plane has no effect.
     free = np.eye(6)[[0, 1, 5]]

@@ -316,9 +316,13 @@ def _excess(
         off = np.abs(b - a @ light)
         near = off < max(3.0 * float(np.median(off[near])), 3.0)
     excess = np.where(known, seen - (terms @ light.astype(np.float32)), 0.0)
-    soft = cv2.GaussianBlur(np.asarray(excess, dtype=np.float32), (0, 0), _BLUR)
-    texture = float(np.std(soft[known][::every][near]))
-    return np.asarray(excess, dtype=np.float32), max(_MIN_CONTRAST, _TEXTURE * texture)
+    excess = np.asarray(excess, dtype=np.float32)
+    texture = float(np.std(_blurred(excess)[known][::every][near]))
+    return excess, max(_MIN_CONTRAST, _TEXTURE * texture)
+
+
+def _blurred(image: NDArray[np.float32]) -> NDArray[np.float32]:
+    return np.asarray(cv2.GaussianBlur(image, (0, 0), _BLUR), dtype=np.float32)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -382,9 +386,9 @@ def _things(
     plane: _Plane,
 ) -> list[_Region]:
     """Return the regions that are brighter or darker than the table."""
-    soft = np.asarray(cv2.GaussianBlur(excess if brighter else -excess, (0, 0), _BLUR))
+    soft = _blurred(excess if brighter else -excess)
     slope = np.hypot(cv2.Sobel(soft, -1, 1, 0, scale=0.125), cv2.Sobel(soft, -1, 0, 1, scale=0.125))
-    unknown = cv2.dilate(np.asarray(~known, dtype=np.uint8), _DISC)
+    unknown = np.asarray(cv2.dilate(np.asarray(~known, dtype=np.uint8), _DISC), dtype=np.uint8)
     unknown[[0, -1], :] = unknown[:, [0, -1]] = 1
     smallest = math.pi * (_MIN_REACH / plane.step) ** 2
 

@@ -40,11 +40,10 @@ def test_without_faults_every_goal_is_reached(cell: str) -> None:
     ("cell", "seed", "goals"),
     [
         ("arm", 1000, 6),
-        ("arm", 1002, 4),
-        ("fixed", 2001, 6),
-        ("several", 3001, 3),
-        ("set-up", 4, 4),
-        ("ask", 5, 4),
+        ("fixed", 2001, 4),
+        ("several", 3001, 2),
+        ("set-up", 4, 2),
+        ("ask", 5, 2),
     ],
 )
 def test_nothing_unsafe_happens_under_random_faults(cell: str, seed: int, goals: int) -> None:
@@ -59,7 +58,7 @@ def test_nothing_unsafe_happens_under_random_faults(cell: str, seed: int, goals:
 )
 def test_every_run_has_the_chosen_mode_whatever_its_seed(mix: Mix) -> None:
     seed = next(filter(has_several_objects, range(100)))
-    report = run_trial(seed, 2, mix=mix)
+    report = run_trial(seed, 1, mix=mix)
     assert report.violations == []
     assert report.faults.keys() & set(mix.only)
 
