@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from cell_processes import CAMPAIGN
 
 from benchmarks import networks, two_computers
-from cell_processes import CAMPAIGN
 from tapping_cell.cli.graph import own_domain
 
 TRIES = 3
