@@ -24,7 +24,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from tapping_cell.configuration.hints import conflict_hint, number_hint
+from tapping_cell.configuration.hints import character_hint, conflict_hint, number_hint
 from tapping_cell.se2 import Array
 
 UNITS: dict[str, dict[str, float]] = {
@@ -179,7 +179,8 @@ def read_csv(
                 )
         raise RecordError(
             f"{path}, row {lines[0][0]}: no column {', '.join(missing)}; the header is"
-            f" {', '.join(header)}. Add {wanted or ', '.join(missing)}"
+            f" {', '.join(header)}{character_hint(''.join(header))}. "
+            f"Add {wanted or ', '.join(missing)}"
         )
     _check_names(path, header, columns, (*texts, *optional_texts))
     _check_copied(path, lines[1:])

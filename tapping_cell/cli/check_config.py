@@ -33,6 +33,7 @@ from tapping_cell.cli.errors import print_error
 from tapping_cell.cli.graph import HARDWARE, RECORDER, SIMULATED
 from tapping_cell.configuration.cell import CellFile, load_cell
 from tapping_cell.configuration.conflicts import conflicts
+from tapping_cell.configuration.hints import character_hint, did_you_mean
 from tapping_cell.configuration.layout_file import LayoutFile
 from tapping_cell.configuration.objects import ObjectFile, load_object
 from tapping_cell.configuration.problems import problems_of
@@ -249,7 +250,11 @@ def recognise(document: Any) -> str | None:
         return None
     keys = set(document)
     nodes = {str(key).rsplit("/", 1)[-1] for key in keys} <= {*NODES, *EVERY_NODE}
-    if nodes or all(_holds_parameters(value) for value in document.values()):
+    if (
+        nodes
+        or "ros__parameters" in keys
+        or all(_holds_parameters(value) for value in document.values())
+    ):
         return PARAMETERS
     names = {kind: _keys_of(kind) for kind in (*SECTIONS, CAMERA_INFO)}
     shares = sorted(
@@ -303,7 +308,10 @@ def check_parameters(document: Any, path: Path) -> list[str]:
         node = name.rsplit("/", 1)[-1]
         source = f"{path}: {name}"
         if node not in (*NODES, *EVERY_NODE):
-            found.append(f"{source}: no node has this name; the nodes are {', '.join(NODES)}")
+            meant = character_hint(node) or did_you_mean(node, NODES)
+            found.append(
+                f"{source}: no node has this name{meant}; the nodes are {', '.join(NODES)}"
+            )
             continue
         if not isinstance(values, Mapping):
             found.append(f"{source}: 'ros__parameters' must be a mapping of names to values")

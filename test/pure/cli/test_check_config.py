@@ -193,6 +193,10 @@ def test_a_parameter_file_without_its_second_key_is_recognised_by_its_nodes(tmp_
     path = tmp_path / "parameters.yaml"
     path.write_text("/**/tap_planner:\n  ros_parameters: {adapt: true}\n")
     assert "'ros__parameters' (two underscores) under each" in errors(path)[0]
+    path.write_text("ros__parameters: {adapt: true}\n")
+    assert "node names with 'ros__parameters'" in errors(path)[0]
+    path.write_text("/**/tap-planner: {ros__parameters: {adapt: true}}\n")
+    assert "no node has this name; did you mean 'tap_planner'?" in errors(path)[0]
 
 
 def test_the_verb_returns_an_exit_status_and_json(folder, capsys):

@@ -180,6 +180,19 @@ def test_an_invalid_file_is_named(folder, capsys):
     assert "nonsense_9x9" in capsys.readouterr().err
 
 
+def test_markers_seen_in_place_of_the_reference_markers_are_named(folder, tmp_path, capsys):
+    image = cv2.imread(str(folder / "shot0.png"), cv2.IMREAD_GRAYSCALE)
+    cv2.imwrite(str(tmp_path / "negative.png"), 255 - image)
+    text = (folder / "table.yaml").read_text()
+    (tmp_path / "table.yaml").write_text(text.replace(REFERENCES.dictionary, "4x4_250"))
+    assert locate(folder, str(tmp_path / "negative.png")) == 1
+    assert "are visible inverted; print black markers on white" in capsys.readouterr().out
+    assert main(["locate", str(folder / "shot0.png"), f"--table={tmp_path / 'table.yaml'}"]) == 1
+    assert "of APRILTAG_36H11 are visible; correct the dictionary" in capsys.readouterr().out
+    assert locate(folder, "empty.png") == 1
+    assert "correct the" not in capsys.readouterr().out
+
+
 def test_a_mirrored_image_and_a_mirrored_table_are_named(folder, tmp_path, capsys):
     """The object is not in view: only the reference markers show the mistake."""
     image = cv2.imread(str(folder / "empty.png"))
