@@ -185,7 +185,7 @@ def check(path: Path, kind: str | None = None) -> list[Findings]:
         found.errors.append(
             f"{path}: the keys match no known kind of file; give --kind, one of {', '.join(KINDS)}"
         )
-    elif recognised and kind != recognised and _has_no_key_of(kind, recognised, document):
+    elif recognised and kind != recognised and _is_instead(recognised, kind, document):
         found.errors.append(
             f"{path}: is a file of the kind {recognised}, but the kind {kind} is needed here; "
             "correct the path"
@@ -264,10 +264,12 @@ def recognise(document: Any) -> str | None:
     return kind if best > second else None
 
 
-def _has_no_key_of(kind: str, other: str, document: Iterable[Any]) -> bool:
-    """Return whether a document has no key that files of a kind have and those of the other kind
-    have not."""
-    return not (_keys_of(kind) - _keys_of(other)) & set(document)
+def _is_instead(kind: str, wanted: str, document: Iterable[Any]) -> bool:
+    """Return whether most keys of a document are those of files of a kind, and none is one that
+    only files of the wanted kind have."""
+    own, keys = _keys_of(kind), set(document)
+    most = kind == PARAMETERS or 2 * len(own & keys) > len(keys)
+    return most and not (_keys_of(wanted) - own) & keys
 
 
 def _keys_of(kind: str) -> set[str]:

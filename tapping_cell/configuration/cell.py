@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from tapping_cell.configuration.files import shared_folder
-from tapping_cell.configuration.hints import conflict_hint
+from tapping_cell.configuration.hints import git_hint
 from tapping_cell.configuration.objects import ObjectFile, load_object
 from tapping_cell.configuration.provenance import Provenance
 from tapping_cell.configuration.schema import (
@@ -517,7 +517,7 @@ class ArmSection:
             )
         try:
             text = Path(chain.urdf).read_text(encoding="utf-8")
-            if conflict := conflict_hint(text):
+            if conflict := git_hint(text):
                 raise ValueError(conflict)
             return chain_from_urdf(
                 text,

@@ -117,9 +117,11 @@ def number_hint(text: str, unit: str = "") -> str:
     return odd
 
 
-def conflict_hint(text: str) -> str:
-    """Return a sentence about the first conflict marker that a merge left in a text; empty if there
-    is none."""
+def git_hint(text: str) -> str:
+    """Return a sentence about the pointer or the first conflict marker that git left in a text;
+    empty if there is none."""
+    if text.startswith("version https://git-lfs"):
+        return "the file is a pointer of git LFS; get its content with `git lfs pull`"
     found = re.search(r"^(<{7}|={7}|>{7})( .*)?$", text, re.MULTILINE)
     if found is None or not re.search(r"^(<{7}|>{7}) ", text, re.MULTILINE):
         return ""

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import re
 import types
 import typing
 from collections.abc import Mapping, Sequence
@@ -141,6 +142,8 @@ def similar_path(path: Path) -> str:
     as_on_linux = Path(str(path).replace("\\", "/"))
     if as_on_linux != path and as_on_linux.is_file():
         return f"; did you mean '{as_on_linux}'?"
+    if found := re.search(r"\b(file|package|https?):/", str(path)):
+        return f"; write a path of this computer in place of the address {found[1]}://..."
     # A path that starts from the folder of the repository repeats the folders of the file in it.
     parts = path.parts
     for start, end in combinations(range(min(len(parts), MOST_FOLDERS)), 2):

@@ -14,7 +14,7 @@ from typing import Any
 
 import yaml
 
-from tapping_cell.configuration.hints import character_hint, conflict_hint
+from tapping_cell.configuration.hints import character_hint, git_hint
 
 DEEPEST = 40
 """Maximum depth of nested lists and mappings."""
@@ -52,7 +52,7 @@ def parse_yaml(text: str) -> Any:
     Raises:
         YamlError: the text is malformed, nested too deeply or ambiguous, or a key appears twice.
     """
-    if conflict := conflict_hint(text):
+    if conflict := git_hint(text):
         raise YamlError(f"malformed YAML: {conflict}")
     if found := re.search("[\x85\u2028\u2029]", text):
         raise YamlError(

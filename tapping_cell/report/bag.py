@@ -346,7 +346,8 @@ def _records(stream: BinaryIO, file: Path) -> Iterator[tuple[int, memoryview]]:
     if not start:
         raise BagError(f"{file} is empty: its recorder ended before it had written a message")
     if start != _MAGIC:
-        raise BagError(f"{file} is not an MCAP file")
+        pointer = "; get the content of this pointer of git LFS with `git lfs pull`"
+        raise BagError(f"{file} is not an MCAP file{pointer if start == b'version ' else ''}")
     size = os.fstat(stream.fileno()).st_size
     while len(head := stream.read(9)) == 9:
         kind, length = struct.unpack("<BQ", head)

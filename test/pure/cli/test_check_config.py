@@ -146,6 +146,12 @@ def test_a_kind_forced_on_another_file_is_refused_with_a_message(kind: str, tmp_
     assert errors(path, kind)
 
 
+def test_one_key_of_another_kind_does_not_make_a_file_of_that_kind(tmp_path: Path) -> None:
+    path = tmp_path / "camera_info.yaml"  # the names of a camera's own program
+    path.write_text("{width: 1280, height: 1024, fx: 900.0, fy: 900.0, ppx: 640.0, ppy: 512.0}")
+    assert "name the values as in the package's camera_info.yaml" in errors(path, "camera_info")[0]
+
+
 PARAMETERS = """
 /**:
   ros__parameters: {autostart: true}

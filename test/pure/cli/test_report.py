@@ -95,9 +95,11 @@ def test_bags_of_other_formats_are_named_with_the_conversion(runs, tmp_path, cap
     shutil.copytree(runs / "good", folder)
     (folder / "bag" / "bag.mcap").rename(folder / "bag" / "bag.mcap.zstd")
     (tmp_path / "old.bag").write_bytes(b"#ROSBAG V2.0\n")
+    (tmp_path / "a.mcap").write_bytes(b"version https://git-lfs.github.com/spec/v1\n")
     for path, words in (
         (folder, f"`zstd -d {folder / 'bag' / 'bag.mcap.zstd'}`"),
         (tmp_path / "old.bag", "is a bag of ROS 1; convert it"),
+        (tmp_path / "a.mcap", "of git LFS with `git lfs pull`"),
     ):
         assert main(["report", str(path)]) == 2
         assert words in " ".join(capsys.readouterr().err.split())

@@ -182,6 +182,7 @@ MISTAKES = [
     (CELL, "  mass: 0.100", "  mass\u200b: 0.100", "'; delete the zero width space (U+200B)"),
     (CAMERA, "image_width", "image_width\u200b", "rename it; delete the zero width space"),
     (CELL, "name: tapping cell", "```yaml\nname: tapping cell", "delete the lines with ```"),
+    (CELL, "# The simulated", "version https://git-lfs.github.com\n# T", "with `git lfs pull`"),
     (DISK, "\nfriction: 0.17 ", "\nfriction: ~0.2 ", "write the number alone: 0.2"),
     (DISK, "\nfriction: 0.17 ", "\nfriction: 0.17 \u00b1 0.02 ", "write the number alone: 0.17"),
     (CELL, "port: ~/.ros/tapping_cell/{cell}/arm", "port: /dev/ttyUSB*", "contains wildcards"),
@@ -228,6 +229,8 @@ def test_a_common_mistake_is_refused_with_cause_and_remedy(
         ("object: objects/", "object: objects\\", "did you mean '{}/objects/aluminium_disk.yaml'?"),
         ("objects/aluminium_disk.yaml", "aluminium disk", "mean 'objects/aluminium_disk.yaml'?"),
         ("object: objects/", "object: config/objects/", "'{}/objects/aluminium_disk.yaml' exists"),
+        ("camera_info.yaml", "file:///home/ann/head.yaml", "in place of the address file://"),
+        ("object: objects/aluminium_disk.yaml", "object: parameters.yaml", "kind parameters, but"),
         ("aluminium_disk", "Aluminium_Disk", "did you mean 'aluminium_disk.yaml'?"),
         (
             "markers: table.yaml",
@@ -376,7 +379,7 @@ RECORDS = [
     ),
     ("tapper", table("energy,distance", taps()), ""),
     ("tapper", table("energy,distance_in", [[e, d / 0.0254] for e, d in taps()]), ""),
-    ("tapper", table("energy,distance_ft", taps()), "no column distance; the header is energy, d"),
+    ("tapper", table("energy,distance_ft", taps()), "the header is energy, distance_ft"),
     ("tapper", "Series 3,\n" + table("energy,distance", taps()), "delete the lines above it"),
     (
         "tapper",

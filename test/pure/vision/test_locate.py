@@ -125,9 +125,10 @@ def test_a_sequence_is_fused(folder, capsys):
 
 
 def test_nothing_found_is_exit_status_1(folder, capsys):
-    assert locate(folder, "empty.png", "text.png") == 1
+    (folder / "pointer.png").write_text("version https://git-lfs.github.com/spec/v1\n")
+    assert locate(folder, "empty.png", "text.png", "pointer.png") == 1
     text = capsys.readouterr().out
-    assert "not found" in text and "cannot be read" in text
+    assert "not found" in text and "cannot be read" in text and "`git lfs pull`" in text
 
 
 def test_annotated_images_are_written(folder, capsys):
