@@ -24,7 +24,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from tapping_cell.configuration.hints import conflict_hint, number_hint
+from tapping_cell.configuration.hints import character_hint, git_hint, number_hint
 from tapping_cell.se2 import Array
 
 UNITS: dict[str, dict[str, float]] = {
@@ -178,8 +178,9 @@ def read_csv(
                     f"header, it is a record for `{verb}`"
                 )
         raise RecordError(
-            f"{path}, row {lines[0][0]}: no column {', '.join(missing)}; the header is"
-            f" {', '.join(header)}. Add {wanted or ', '.join(missing)}"
+            f"{path}, row {lines[0][0]}: no column {', '.join(missing)}"
+            f"{character_hint(''.join(header))}; add {wanted or ', '.join(missing)}, or give "
+            f"another file; the header is {', '.join(header)}"
         )
     _check_names(path, header, columns, (*texts, *optional_texts))
     _check_copied(path, lines[1:])
@@ -264,7 +265,7 @@ def _text(path: Path) -> str:
         raise RecordError(f"{path}: is not UTF-8 text; save it as CSV in UTF-8") from error
     if "\0" in text:
         raise RecordError(f"{path}: contains NUL characters; save it as CSV in UTF-8")
-    if conflict := conflict_hint(text):
+    if conflict := git_hint(text):
         raise RecordError(f"{path}: {conflict}")
     return text.replace("\r\n", "\n").replace("\r", "\n")
 

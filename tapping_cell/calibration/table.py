@@ -24,7 +24,7 @@ from tapping_cell.vision.markers.detection import (
     ReferenceMarker,
     find_markers,
     marker_pattern,
-    markers_instead,
+    visible_instead,
 )
 from tapping_cell.vision.markers.edges import MarkerEdges, refine, straight_corners
 from tapping_cell.vision.table.fit import candidate_poses
@@ -96,7 +96,10 @@ def observe_markers(
     twice = {i for i in ids if ids.count(i) > 1}
     kept = [d for d in found if d.id not in twice and (known is None or d.id in known)]
     if not kept:
-        return _others_visible(image, dictionary, sorted(set(ids) - twice))
+        others = sorted(set(ids) - twice)
+        reason = "none of the wanted ids" if others else f"no marker of {dictionary}"
+        instead = visible_instead(image, dictionary, others)
+        return f"{reason} is visible" + (f", but {instead}" if instead else "")
     quads = np.array([d.corners for d in kept])
     edges = refine(image, quads, marker_pattern(dictionary, kept[0].id).shape[0])
     good = edges.good
@@ -106,19 +109,6 @@ def observe_markers(
     noise = np.hypot(_noise(edges), _LENS_NOISE) / camera.fx
     numbers = np.array([d.id for d in kept], dtype=np.intp)
     return MarkerView(name, numbers[good], rays[good], noise[good])
-
-
-def _others_visible(image: Image, dictionary: str, ids: list[int]) -> str:
-    """Return the reason why no wanted marker was found, with the markers that are visible, of which
-    those of the dictionary have ``ids``."""
-    reason, wrong = "none of the wanted ids is visible", "ids"
-    if not ids:
-        reason, wrong = f"no marker of {dictionary} is visible", "dictionary"
-        dictionary, ids = markers_instead(image, dictionary)
-    if ids:
-        listed = ", ".join(map(str, ids))
-        reason += f", but the markers {listed} of {dictionary} are; correct the {wrong}"
-    return reason
 
 
 def _noise(edges: MarkerEdges) -> Array:

@@ -33,6 +33,7 @@ from tapping_cell.cli.errors import print_error
 from tapping_cell.cli.graph import HARDWARE, RECORDER, SIMULATED
 from tapping_cell.configuration.cell import CellFile, load_cell
 from tapping_cell.configuration.conflicts import conflicts
+from tapping_cell.configuration.hints import character_hint, did_you_mean
 from tapping_cell.configuration.layout_file import LayoutFile
 from tapping_cell.configuration.objects import ObjectFile, load_object
 from tapping_cell.configuration.problems import problems_of
@@ -184,7 +185,7 @@ def check(path: Path, kind: str | None = None) -> list[Findings]:
         found.errors.append(
             f"{path}: the keys match no known kind of file; give --kind, one of {', '.join(KINDS)}"
         )
-    elif recognised and kind != recognised and _has_no_key_of(kind, recognised, document):
+    elif recognised and kind != recognised and _is_instead(recognised, kind, document):
         found.errors.append(
             f"{path}: is a file of the kind {recognised}, but the kind {kind} is needed here; "
             "correct the path"
@@ -249,7 +250,11 @@ def recognise(document: Any) -> str | None:
         return None
     keys = set(document)
     nodes = {str(key).rsplit("/", 1)[-1] for key in keys} <= {*NODES, *EVERY_NODE}
-    if nodes or all(_holds_parameters(value) for value in document.values()):
+    if (
+        nodes
+        or "ros__parameters" in keys
+        or all(_holds_parameters(value) for value in document.values())
+    ):
         return PARAMETERS
     names = {kind: _keys_of(kind) for kind in (*SECTIONS, CAMERA_INFO)}
     shares = sorted(
@@ -259,10 +264,12 @@ def recognise(document: Any) -> str | None:
     return kind if best > second else None
 
 
-def _has_no_key_of(kind: str, other: str, document: Iterable[Any]) -> bool:
-    """Return whether a document has no key that files of a kind have and those of the other kind
-    have not."""
-    return not (_keys_of(kind) - _keys_of(other)) & set(document)
+def _is_instead(kind: str, wanted: str, document: Iterable[Any]) -> bool:
+    """Return whether most keys of a document are those of files of a kind, and none is one that
+    only files of the wanted kind have."""
+    own, keys = _keys_of(kind), set(document)
+    most = kind == PARAMETERS or 2 * len(own & keys) > len(keys)
+    return most and not (_keys_of(wanted) - own) & keys
 
 
 def _keys_of(kind: str) -> set[str]:
@@ -303,7 +310,10 @@ def check_parameters(document: Any, path: Path) -> list[str]:
         node = name.rsplit("/", 1)[-1]
         source = f"{path}: {name}"
         if node not in (*NODES, *EVERY_NODE):
-            found.append(f"{source}: no node has this name; the nodes are {', '.join(NODES)}")
+            meant = character_hint(node) or did_you_mean(node, NODES)
+            found.append(
+                f"{source}: no node has this name{meant}; the nodes are {', '.join(NODES)}"
+            )
             continue
         if not isinstance(values, Mapping):
             found.append(f"{source}: 'ros__parameters' must be a mapping of names to values")

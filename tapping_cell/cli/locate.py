@@ -56,13 +56,15 @@ from tapping_cell.vision import (
     ObjectOutline,
     Observation,
     PoseTracker,
+    Problem,
     ReferenceMap,
     TrackerSettings,
     marker_ids,
 )
 from tapping_cell.vision.annotate import annotate
+from tapping_cell.vision.camera import Image
 from tapping_cell.vision.images import ImageRefused, read_photograph
-from tapping_cell.vision.markers.detection import dictionary_name
+from tapping_cell.vision.markers.detection import dictionary_name, find_markers, visible_instead
 
 FRAME_PERIOD = 1.0 / 30.0
 """Assumed time in s between the images of a --sequence, for estimating speeds."""
@@ -158,6 +160,8 @@ def run(arguments: argparse.Namespace) -> int:
             observation = tracker.update(image.pixels, number * FRAME_PERIOD)
             milliseconds = (time.perf_counter() - begin) * 1e3
             sentence = image.explain(observation.sentence, observation.visible)
+            if observation.problem is Problem.TABLE_UNKNOWN:
+                sentence += search.seen_instead(image.pixels)
             observation = replace(observation, sentence=sentence)
             results.append(result(path, seen.name, observation, milliseconds))
             if arguments.annotate is None:
@@ -196,6 +200,17 @@ class Search:
         self.trackers = [
             PoseTracker(self._camera, self._table, seen, self._settings) for seen in self._seen
         ]
+
+    def seen_instead(self, image: Image) -> str:
+        """Return a sentence about the markers of an image that shows no reference marker; empty if
+        it shows one, or no markers."""
+        wanted = {marker.id for marker in self._table.markers}
+        found = {each.id for each in find_markers(image, self._table.dictionary)}
+        if found & wanted:
+            return ""
+        others = sorted(found - self._settings.other_ids)
+        instead = visible_instead(image, self._table.dictionary, others)
+        return f"; {instead}" if instead else ""
 
 
 def load_seen_object(path: Path) -> SeenObject:

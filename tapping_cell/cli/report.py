@@ -32,6 +32,7 @@ from rich.table import Table
 from tapping_cell.cli.errors import print_error
 from tapping_cell.cli.progress import progress
 from tapping_cell.durable_file import replace_text
+from tapping_cell.report.bag import other_format
 from tapping_cell.report.recorded import BagError
 from tapping_cell.report.run import Run
 from tapping_cell.report.run_comparison import Row, comparison_page, groups_of, row_of
@@ -91,7 +92,9 @@ def run(arguments: argparse.Namespace) -> int:
                 )
                 continue
             if path.is_file() and no_run(path):
-                print_error(f"{path} is not a bag (.mcap); give the folder of the run")
+                print_error(
+                    other_format(path) or f"{path} is not a bag (.mcap); give the folder of the run"
+                )
                 continue
             inner = _runs_in(path)
             if inner:

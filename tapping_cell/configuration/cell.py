@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from tapping_cell.configuration.files import shared_folder
-from tapping_cell.configuration.hints import conflict_hint
+from tapping_cell.configuration.hints import git_hint
 from tapping_cell.configuration.objects import ObjectFile, load_object
 from tapping_cell.configuration.provenance import Provenance
 from tapping_cell.configuration.schema import (
@@ -18,6 +18,7 @@ from tapping_cell.configuration.schema import (
     load,
     quantity,
     section,
+    similar_path,
     text,
 )
 from tapping_cell.configuration.table import load_camera_model, load_reference_map
@@ -463,6 +464,16 @@ class ArmSection:
 
     def _check_dialect(self) -> None:
         section = self.ros2_control
+        for key in ("grbl_settings", "home_place"):
+            if self.dialect != "grbl" and getattr(self, key):
+                raise ValueError(
+                    f"arm.{key} is not used by the dialect {self.dialect}: leave it out"
+                )
+        if self.home_place == self.home and any(self.home):
+            raise ValueError(
+                f"arm.home_place is {list(self.home)}, the same as arm.home, which is in rad and "
+                "m; give the positions that the controller reports, in degrees and mm"
+            )
         if self.dialect != "ros2_control":
             if section is not None:
                 raise ValueError(
@@ -506,7 +517,7 @@ class ArmSection:
             )
         try:
             text = Path(chain.urdf).read_text(encoding="utf-8")
-            if conflict := conflict_hint(text):
+            if conflict := git_hint(text):
                 raise ValueError(conflict)
             return chain_from_urdf(
                 text,
@@ -520,6 +531,7 @@ class ArmSection:
             raise ValueError(
                 f"arm.ros2_control.chain.urdf {chain.urdf}: cannot be read ({error.strerror}); "
                 "give the path of the URDF file, relative to this file"
+                + similar_path(Path(chain.urdf))
             ) from error
         except UnicodeDecodeError as error:
             raise ValueError(

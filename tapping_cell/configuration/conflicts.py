@@ -111,6 +111,13 @@ def _heights(cell: Cell) -> Iterator[str]:
                 f"quill lifts the tip to at most {1e3 * highest:.1f} mm ('arm.tip_height' plus "
                 "'arm.upper[2]'); reduce this value"
             )
+        lowest = arm.tip_height + arm.lower[2] + max(0.0, arm.joint_offset[2])
+        if arm.strike_height < lowest - 1e-9:
+            yield (
+                f"{path}: key 'arm.strike_height' is {1e3 * arm.strike_height:.1f} mm, but the "
+                f"quill lowers the tip to {1e3 * lowest:.1f} mm at the lowest ('arm.tip_height' "
+                "plus 'arm.lower[2]'); correct one of these keys"
+            )
     if tapper.stroke <= tapper.standoff:
         yield (
             f"{path}: key 'tapper.stroke' is {1e3 * tapper.stroke:.1f} mm, not more than "

@@ -19,6 +19,11 @@ _PLAIN = str.maketrans(
     | dict.fromkeys(_INVISIBLE, "")
 )
 _NUMBER = r"[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?"
+_ABOUT = re.compile(
+    rf"(?:[~\u2248<>=\u2264\u2265]+|ca\.?|about)\s*({_NUMBER})"
+    rf"|({_NUMBER})\s*(?:\u00b1|\+-|\+/-|\(|#|//).*"
+)
+"""A number with its accuracy, or with a remark that is not introduced as a comment."""
 _GROUPED = r"[-+]?[0-9]{1,3}([ ,.'][0-9]{3})+([.,][0-9]+)?"
 _MONTH = "(jan|feb|mar|m\u00e4r|mrz|apr|ma[iy]|jun|jul|aug|sep|o[ck]t|nov|de[cz])[a-z]*"
 _DATE = re.compile(
@@ -57,7 +62,10 @@ def character_hint(text: str, tabs: bool = False) -> str:
     for character in text:
         if ord(character) in _PLAIN:
             name = unicodedata.name(character, "character").lower()
-            return f"; replace the {name} (U+{ord(character):04X}) by the keyboard's character"
+            named = f"{name} (U+{ord(character):04X})"
+            if character in _INVISIBLE:
+                return f"; delete the {named}"
+            return f"; replace the {named} by the keyboard's character"
     if tabs and "\t" in text:
         return "; indent with spaces, not with tabs"
     return ""
@@ -102,14 +110,18 @@ def number_hint(text: str, unit: str = "") -> str:
         return f"; write {float(found[1]) / 100:.6g}"
     if found := re.fullmatch(rf"({_NUMBER})\s*([a-zA-Z\u00b0\u00b5%\"/^0-9]+)", plain):
         return f"; write the number without '{found[2]}'" + (f", in {unit}" if unit else "")
-    if re.search(r"(pi\b|[0-9]\s*[*/]\s*[0-9])", plain):
+    if found := _ABOUT.fullmatch(plain):
+        return f"; write the number alone: {found[1] or found[2]}"
+    if re.search(r"(pi\b|\b(deg|rad)\w*\(|[0-9]\s*[*/]\s*[0-9])", plain):
         return "; expressions are not evaluated: write their value"
     return odd
 
 
-def conflict_hint(text: str) -> str:
-    """Return a sentence about the first conflict marker that a merge left in a text; empty if there
-    is none."""
+def git_hint(text: str) -> str:
+    """Return a sentence about the pointer or the first conflict marker that git left in a text;
+    empty if there is none."""
+    if text.startswith("version https://git-lfs"):
+        return "the file is a pointer of git LFS; get its content with `git lfs pull`"
     found = re.search(r"^(<{7}|={7}|>{7})( .*)?$", text, re.MULTILINE)
     if found is None or not re.search(r"^(<{7}|>{7}) ", text, re.MULTILINE):
         return ""

@@ -10,10 +10,12 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import re
 import types
 import typing
 from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, replace
+from itertools import combinations
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -104,6 +106,8 @@ def section(description: str, default: Any = MISSING) -> Any:
 
 LARGEST_FILE = 1_000_000
 """Maximum size of a file, in bytes. A larger file would take minutes to parse."""
+MOST_FOLDERS = 40
+"""Number of folders of a missing path in which a repetition is looked for."""
 
 
 def read_yaml(path: Path) -> Any:
@@ -124,7 +128,7 @@ def read_yaml(path: Path) -> Any:
     except OSError as error:
         raise ConfigurationError(
             f"{path}: cannot be read ({error.strerror}); give the path of an existing YAML file"
-            + _similar_path(path)
+            + similar_path(path)
         ) from error
     except UnicodeDecodeError as error:
         raise ConfigurationError(f"{path}: is not UTF-8 text; save it as UTF-8") from error
@@ -132,12 +136,21 @@ def read_yaml(path: Path) -> Any:
         raise ConfigurationError(f"{path}: {error}") from error
 
 
-def _similar_path(path: Path) -> str:
+def similar_path(path: Path) -> str:
     """Return a hint at a file whose path is similar to that of a missing file; empty if there is
     none."""
     as_on_linux = Path(str(path).replace("\\", "/"))
     if as_on_linux != path and as_on_linux.is_file():
         return f"; did you mean '{as_on_linux}'?"
+    if found := re.search(r"\b(file|package|https?):/", str(path)):
+        return f"; write a path of this computer in place of the address {found[1]}://..."
+    # A path that starts from the folder of the repository repeats the folders of the file in it.
+    parts = path.parts
+    for start, end in combinations(range(min(len(parts), MOST_FOLDERS)), 2):
+        if parts[start:end] == parts[end : 2 * end - start]:
+            once = Path(*parts[:start], *parts[end:])
+            if once.is_file():
+                return f"; '{once}' exists: a path in a file starts from the folder of that file"
     try:
         near = [] if path.exists() else [*path.parent.iterdir(), *path.parent.glob("*/*.y*ml")]
     except OSError:
@@ -180,7 +193,7 @@ def build(kind: type[Section], document: Any, source: str, key: str = "") -> Sec
             inner = isinstance(document[name], Mapping)
             choices = [own for own in fields if not inner or _is_section(hints[own])]
             meant = (
-                did_you_mean(name, choices) or _place_of(name, hints) or character_hint(str(name))
+                character_hint(str(name)) or did_you_mean(name, choices) or _place_of(name, hints)
             )
             if inner and key and not meant:
                 meant = "; if it is a section beside this one, indent it less"

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from tapping_cell.configuration.hints import number_hint
+from tapping_cell.configuration.hints import character_hint, number_hint
 from tapping_cell.configuration.provenance import Provenance
 from tapping_cell.configuration.schema import (
     ConfigurationError,
@@ -187,6 +187,8 @@ def check_camera(camera: CameraModel) -> None:
         remedy = "correct image_width and image_height, or calibrate the camera at this resolution"
         if max(abs(fits[0] / camera.height - 1.0), abs(fits[1] / camera.width - 1.0)) < 0.1:
             remedy = "image_width and image_height, or cx and cy, seem to be exchanged"
+        if 0.0 < camera.cx < 1.0 and 0.0 < camera.cy < 1.0:
+            remedy = "multiply shares of the image's size by its width (fx, cx) or height (fy, cy)"
         raise ValueError(
             f"key 'camera_matrix': the principal point ({camera.cx:.1f}, {camera.cy:.1f}) lies at "
             f"{100 * column:.0f} % of the image's width and {100 * row:.0f} % of its height, but "
@@ -223,7 +225,8 @@ def _entry(mapping: dict[str, Any], key: str, within: str = "") -> Any:
     if key not in mapping:
         others = [name for name in mapping if name not in (*CAMERA_KEYS, *IGNORED_KEYS)]
         if not within and len(others) == 1:
-            raise ValueError(f"key '{key}' is missing; if '{others[0]}' is meant, rename it")
+            odd = character_hint(str(others[0]))
+            raise ValueError(f"key '{key}' is missing; if '{others[0]}' is meant, rename it{odd}")
         raise ValueError(
             f"key '{within}{key}' of a camera_info file is missing; write the file with `calibrate "
             "camera` or ROS's camera_calibration, or name the values as in the package's "

@@ -14,7 +14,7 @@ from typing import Any
 
 import yaml
 
-from tapping_cell.configuration.hints import character_hint, conflict_hint
+from tapping_cell.configuration.hints import character_hint, git_hint
 
 DEEPEST = 40
 """Maximum depth of nested lists and mappings."""
@@ -52,7 +52,7 @@ def parse_yaml(text: str) -> Any:
     Raises:
         YamlError: the text is malformed, nested too deeply or ambiguous, or a key appears twice.
     """
-    if conflict := conflict_hint(text):
+    if conflict := git_hint(text):
         raise YamlError(f"malformed YAML: {conflict}")
     if found := re.search("[\x85\u2028\u2029]", text):
         raise YamlError(
@@ -77,13 +77,15 @@ def parse_yaml(text: str) -> Any:
         lines = text.split("\n")[max(0, line - 1) : line + 1]
         raise YamlError(
             f"malformed YAML at line {line + 1}, column {mark.column + 1}: {problem}"
-            + (character_hint("\n".join(lines), tabs=True) or _colon_hint(lines, text))
+            + (character_hint("\n".join(lines), tabs=True) or _syntax_hint(lines, text))
         ) from error
 
 
-def _colon_hint(lines: list[str], text: str) -> str:
-    """Return a hint at a colon that is missing or has no space behind it; empty if there is
-    none."""
+def _syntax_hint(lines: list[str], text: str) -> str:
+    """Return a hint at the fences of a web page, or at a colon that is missing or has no space
+    behind it; empty if there are none."""
+    if re.search("^```", text, re.MULTILINE):
+        return "; delete the lines with ```, which a web page puts around a file"
     joined = next((line.strip() for line in lines if _NO_SPACE.match(line)), "")
     if joined:
         return f"; write a space after the colon in '{joined[:40]}'"
@@ -234,7 +236,9 @@ def _is_empty(event: Any) -> bool:
 
 
 def _unknown_tag(event: Any) -> YamlError:
-    return _error(f"the tag {event.tag} is not supported; write the plain value", event)
+    return _error(
+        f"the tag {event.tag} is not supported; write the plain value, angles in rad", event
+    )
 
 
 def _error(problem: str, event: Any) -> YamlError:

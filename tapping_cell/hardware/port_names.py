@@ -16,10 +16,11 @@ def device_of(port: str) -> str:
 
 
 def is_foreign(port: str) -> bool:
-    """Return whether a port has a name of Windows, such as COM3, contains a baud rate, or lacks its
-    folder."""
+    """Return whether a port has a name of Windows, such as COM3, contains a baud rate or wildcards,
+    or lacks its folder."""
     return (
         _is_windows_name(port)
+        or _is_pattern(port)
         or _baud_behind(port) is not None
         or not Path(port).expanduser().is_absolute()
     )
@@ -29,6 +30,10 @@ def _baud_behind(port: str) -> re.Match[str] | None:
     """Return the match of a device's name and a baud rate behind it, such as /dev/ttyUSB0:115200;
     None if the port is another name. Links in /dev/serial/by-path contain colons."""
     return re.fullmatch(r"(/dev/tty\w+)[:,@ ]+([0-9]{4,})", port)
+
+
+def _is_pattern(port: str) -> bool:
+    return any(character in port for character in "*?[")
 
 
 def _is_windows_name(port: str) -> bool:
@@ -44,6 +49,8 @@ def port_problem(port: str, links: Path = BY_ID) -> str:
         return (
             f"is a name of Windows; give the device's name on Linux, such as {links}/... ({choice})"
         )
+    if _is_pattern(port):
+        return f"contains wildcards; give the name of one device ({choice})"
     if found := _baud_behind(port):
         return f"contains a baud rate; write 'port: {found[1]}' and 'baud: {found[2]}'"
     if Path(port).expanduser().exists():

@@ -331,7 +331,7 @@ class Tap:
         if distance < self.smallest_distance * (1 - _EDGE) or distance == 0.0:
             raise UnreachableDisplacementError(
                 f"the displacement is {1e3 * distance:.4g} mm long; the shortest tap is "
-                f"{1e3 * self.smallest_distance:.4g} mm. Move farther away first."
+                f"{1e3 * self.smallest_distance:.4g} mm; move the object farther, or check the unit"
             )
         limit = math.degrees(self.cone_slope * distance)
         raise UnreachableDisplacementError(

@@ -177,6 +177,19 @@ class BagWriter:
         sync_folder(self.folder)
 
 
+def other_format(path: Path) -> str:
+    """Return what to do with a bag that is compressed as a file or has another format than MCAP;
+    empty for other files."""
+    compressed = f"{path} is compressed as a file; decompress it with `zstd -d {path}`"
+    return {
+        ".zst": compressed,
+        ".zstd": compressed,
+        ".db3": f"{path} is a bag in SQLite; convert it to mcap with `ros2 bag convert`",
+        ".bag": f"{path} is a bag of ROS 1; convert it to ROS 2 with `rosbags-convert`, and to "
+        "mcap with `ros2 bag convert`",
+    }.get(path.suffix, "")
+
+
 def bag_file(path: Path) -> Path:
     """Return the MCAP file in a bag's folder, or ``path`` itself if it is a file.
 
@@ -188,6 +201,8 @@ def bag_file(path: Path) -> Path:
     if not path.exists():
         raise BagError(f"{path} does not exist; check the name")
     files = sorted(path.glob("*.mcap"))
+    if not files and (remedy := next(filter(None, map(other_format, sorted(path.iterdir()))), "")):
+        raise BagError(remedy)
     if len(files) != 1:
         remedy = "give one of them, or join the parts of one run with `ros2 bag convert`"
         found = f"{len(files)}; {remedy}" if files else "none"
@@ -331,7 +346,8 @@ def _records(stream: BinaryIO, file: Path) -> Iterator[tuple[int, memoryview]]:
     if not start:
         raise BagError(f"{file} is empty: its recorder ended before it had written a message")
     if start != _MAGIC:
-        raise BagError(f"{file} is not an MCAP file")
+        pointer = "; get the content of this pointer of git LFS with `git lfs pull`"
+        raise BagError(f"{file} is not an MCAP file{pointer if start == b'version ' else ''}")
     size = os.fstat(stream.fileno()).st_size
     while len(head := stream.read(9)) == 9:
         kind, length = struct.unpack("<BQ", head)

@@ -107,7 +107,9 @@ class CameraModel:
             if not -size <= place <= 2 * size:
                 raise CameraError(
                     f"the principal point's {name} is {place:g} pixels, but must lie in or near "
-                    f"the image ({-size} to {2 * size})"
+                    f"the image ({-size} to {2 * size}); the matrix fits an image of about "
+                    f"{2 * self.cx + 1:.0f} x {2 * self.cy + 1:.0f} pixels: correct the image's "
+                    "size, or calibrate the camera at this resolution"
                 )
         if any(self.distortion):
             self._check_fold()

@@ -346,6 +346,8 @@ def _decode(coded: Image, flags: int) -> NDArray[Any] | None:
 
 def _undecodable(coded: Image, form: str) -> str:
     if not form:
+        if coded.tobytes().startswith(b"version https://git-lfs"):
+            return "is a pointer of git LFS; get the image with `git lfs pull`"
         return "cannot be read as an image; give a complete PNG, JPEG, TIFF, BMP or PGM file"
     return (
         f"the compressed image of {coded.size} bytes, format '{form}', cannot be decoded; set the "

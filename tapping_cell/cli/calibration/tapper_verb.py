@@ -50,6 +50,10 @@ from tapping_cell.cli.calibration_arguments import (
 )
 from tapping_cell.configuration.cell import TapperSection
 from tapping_cell.configuration.provenance import Provenance
+from tapping_cell.hardware.energy import EnergyCurve
+
+MUCH_CHANGED = 1.3
+"""Ratio of new to old speed, or its inverse, from which a note is given."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -100,8 +104,26 @@ def run(arguments: argparse.Namespace) -> int:
             f" planner now uses {result.speeds[0] * 1e3:.0f} to {result.speeds[-1] * 1e3:.0f} mm/s,"
             " the range of the recorded taps"
         )
+    found["notes"] += _changed(old, result)
     print(json.dumps(found, indent=1) if arguments.json else "\n".join(lines(found)))
     return 0
+
+
+def _changed(old: EnergyCurve, result: TapperCalibration) -> list[str]:
+    """Return a note if the speed at an energy differs much from that of the old curve."""
+    ratios = [
+        (speed / old.speed_for(energy), energy)
+        for energy, speed in zip(result.energies, result.speeds, strict=True)
+        if old.table[0][0] <= energy <= old.table[-1][0]
+    ]
+    ratio, energy = max(ratios, key=lambda each: abs(math.log(each[0])), default=(1.0, 0.0))
+    if 1.0 / MUCH_CHANGED < ratio < MUCH_CHANGED:
+        return []
+    return [
+        f"at {1e3 * energy:.4g} mJ, the new speed is {ratio:.2f} times that of the old curve; if "
+        "that was measured with this tapper, check names and units of the columns, and mass and "
+        "friction in the object file"
+    ]
 
 
 def _check_energy(tapper: TapperSection, result: TapperCalibration) -> None:

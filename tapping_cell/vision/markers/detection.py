@@ -168,6 +168,25 @@ def markers_instead(image: Image, wanted: str) -> tuple[str, list[int]]:
     return (best, seen[best]) if len(seen[best]) > 1 else ("", [])
 
 
+def visible_instead(image: Image, dictionary: str, others: list[int]) -> str:
+    """Return a sentence about the markers that an image shows in place of the wanted ones, of which
+    it shows none; empty if it shows no markers. ``others`` are visible ids of the dictionary."""
+    wrong = "ids"
+    if not others:
+        if len(inverted := find_markers(255 - image, dictionary)) > 1:
+            listed = ", ".join(str(number) for number in sorted({each.id for each in inverted}))
+            return (
+                f"the markers {listed} are visible inverted; print black markers on white, and "
+                "turn off a negative image"
+            )
+        dictionary, others = markers_instead(image, dictionary)
+        wrong = "dictionary"
+    listed = ", ".join(map(str, others))
+    return (
+        f"the markers {listed} of {dictionary} are visible; correct the {wrong}" if listed else ""
+    )
+
+
 @dataclass(frozen=True, slots=True)
 class ObjectMarker:
     """The marker on an object's top: its pose on the object and its height above the table.

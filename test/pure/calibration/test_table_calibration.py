@@ -92,8 +92,8 @@ def test_markers_of_another_dictionary_or_with_other_ids_are_named() -> None:
     ids = ", ".join(map(str, sorted(seen.ids.tolist())))
     other = observe_markers(image, "", CAMERA, "5X5_1000")
     assert other == (
-        f"no marker of 5X5_1000 is visible, but the markers {ids} of APRILTAG_36H11 are; correct "
-        "the dictionary"
+        f"no marker of 5X5_1000 is visible, but the markers {ids} of APRILTAG_36H11 are visible; "
+        "correct the dictionary"
     )
     wanted = observe_markers(image, "", CAMERA, references.dictionary, [1, 2])
     assert isinstance(wanted, str) and f"but the markers {ids} of" in wanted

@@ -112,6 +112,26 @@ def test_the_verb_writes_a_cell_that_the_nodes_read(tmp_path: Path, capsys) -> N
     assert cell.object == CELL.object
 
 
+def test_speeds_far_from_those_of_the_old_curve_are_named(tmp_path: Path, capsys) -> None:
+    _, taps = record(6)
+    names, columns = "energy_mJ,distance_mm", (1e3 * taps.energies, 1e3 * taps.distances)
+    outputs = []
+    cell = CELL.path
+    for first, second in (columns, columns, columns[::-1]):
+        path, output = tmp_path / "taps.csv", tmp_path / f"cell_{len(outputs)}.yaml"
+        rows = "".join(f"{a:.6f},{b:.6f}\n" for a, b in zip(first, second, strict=True))
+        path.write_text(f"{names}\n{rows}")
+        words = ["calibrate", "tapper", str(path), "--cell", str(cell), "--output", str(output)]
+        assert main(words) == 0
+        outputs.append(capsys.readouterr().out)
+        cell = output
+    assert ["check names and units of the columns" in text for text in outputs] == [
+        True,
+        False,
+        True,
+    ]
+
+
 @pytest.mark.parametrize("kind", ["several objects", "chain"])
 def test_a_copy_in_another_folder_finds_the_files_of_the_cell(tmp_path: Path, kind: str) -> None:
     _, taps = record(6)

@@ -146,6 +146,12 @@ def test_a_kind_forced_on_another_file_is_refused_with_a_message(kind: str, tmp_
     assert errors(path, kind)
 
 
+def test_one_key_of_another_kind_does_not_make_a_file_of_that_kind(tmp_path: Path) -> None:
+    path = tmp_path / "camera_info.yaml"  # the names of a camera's own program
+    path.write_text("{width: 1280, height: 1024, fx: 900.0, fy: 900.0, ppx: 640.0, ppy: 512.0}")
+    assert "name the values as in the package's camera_info.yaml" in errors(path, "camera_info")[0]
+
+
 PARAMETERS = """
 /**:
   ros__parameters: {autostart: true}
@@ -193,6 +199,10 @@ def test_a_parameter_file_without_its_second_key_is_recognised_by_its_nodes(tmp_
     path = tmp_path / "parameters.yaml"
     path.write_text("/**/tap_planner:\n  ros_parameters: {adapt: true}\n")
     assert "'ros__parameters' (two underscores) under each" in errors(path)[0]
+    path.write_text("ros__parameters: {adapt: true}\n")
+    assert "node names with 'ros__parameters'" in errors(path)[0]
+    path.write_text("/**/tap-planner: {ros__parameters: {adapt: true}}\n")
+    assert "no node has this name; did you mean 'tap_planner'?" in errors(path)[0]
 
 
 def test_the_verb_returns_an_exit_status_and_json(folder, capsys):

@@ -90,6 +90,21 @@ def test_files_that_are_no_bags_are_skipped_among_several_paths(runs, capsys):
     assert main(["report", str(runs / "nowhere.html"), str(runs / "good")]) == 1
 
 
+def test_bags_of_other_formats_are_named_with_the_conversion(runs, tmp_path, capsys):
+    folder = tmp_path / "run"
+    shutil.copytree(runs / "good", folder)
+    (folder / "bag" / "bag.mcap").rename(folder / "bag" / "bag.mcap.zstd")
+    (tmp_path / "old.bag").write_bytes(b"#ROSBAG V2.0\n")
+    (tmp_path / "a.mcap").write_bytes(b"version https://git-lfs.github.com/spec/v1\n")
+    for path, words in (
+        (folder, f"`zstd -d {folder / 'bag' / 'bag.mcap.zstd'}`"),
+        (tmp_path / "old.bag", "is a bag of ROS 1; convert it"),
+        (tmp_path / "a.mcap", "of git LFS with `git lfs pull`"),
+    ):
+        assert main(["report", str(path)]) == 2
+        assert words in " ".join(capsys.readouterr().err.split())
+
+
 def test_an_invalid_run_folder_is_refused_with_a_message(runs, tmp_path, capsys):
     assert main(["report", str(runs / "up")]) == 2
     assert main(["report", str(tmp_path / "nowhere")]) == 2

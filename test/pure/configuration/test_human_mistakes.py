@@ -76,6 +76,8 @@ MISTAKES = [
     (CELL, "park: [1.2, 1.2, -0.020, 0.0]", "park: 1.2, 1.2, -0.02, 0", "put the entries in bra"),
     (CELL, "length: 0.60", "length: 600", "if the value is in mm, write 0.6"),
     (CELL, "angle_tolerance: 0.01745329252", "angle_tolerance: pi/180", "not evaluated"),
+    (CELL, "angle_tolerance: 0.01745329252", "angle_tolerance: deg(1)", "not evaluated"),
+    (CELL, "angle_tolerance: 0.01745329252", "angle_tolerance: !degrees 1", "angles in rad"),
     (CELL, "angle_tolerance: 0.01745329252", "angle_tolerance: 1\u00b0", "in rad"),
     (CELL, "angle_tolerance: 0.01745329252", "angle_tolerance: 1.0", "is in deg, write 0.0174"),
     (TABLE, "size: 0.040, x: -0.33", "size: 40, x: -0.33", "if the value is in mm, write 0.04"),
@@ -177,6 +179,29 @@ MISTAKES = [
     ),
     (CELL, "port: ~/.ros/tapping_cell/{cell}/arm", "port: /dev/ttyUSB0:115200", "'baud: 115200'"),
     (SIX, "base_link\n      tip_link: flange", "flange\n      tip_link: base_link", "be exchanged"),
+    (CELL, "  mass: 0.100", "  mass\u200b: 0.100", "'; delete the zero width space (U+200B)"),
+    (CAMERA, "image_width", "image_width\u200b", "rename it; delete the zero width space"),
+    (CELL, "name: tapping cell", "```yaml\nname: tapping cell", "delete the lines with ```"),
+    (CELL, "# The simulated", "version https://git-lfs.github.com\n# T", "with `git lfs pull`"),
+    (DISK, "\nfriction: 0.17 ", "\nfriction: ~0.2 ", "write the number alone: 0.2"),
+    (DISK, "\nfriction: 0.17 ", "\nfriction: 0.17 \u00b1 0.02 ", "write the number alone: 0.17"),
+    (CELL, "port: ~/.ros/tapping_cell/{cell}/arm", "port: /dev/ttyUSB*", "contains wildcards"),
+    (CELL, "dialect: grbl", "dialect: marlin\n  grbl_settings: [[23, 3]]", "by the dialect marlin"),
+    (
+        CELL,
+        "  home: [0.0, 1.5707963, 0.0, 0.0]",
+        "  home: [0.0, 1.5707963, 0.0, 0.0]\n  home_place: [0.0, 1.5707963, 0.0, 0.0]",
+        "the same as arm.home, which is in rad",
+    ),
+    (CELL, "tip_height: 0.150", "tip_height: 0.250", "lowers the tip to 102.0 mm at the lowest"),
+    (CAMERA, MATRIX, "[9e3, 0, 7e3, 0, 9e3, 6e3, 0, 0, 1]", "an image of about 14001 x 12001 pix"),
+    (CAMERA, MATRIX, "[0.9, 0, 0.5, 0, 1.1, 0.5, 0, 0, 1]", "multiply shares of the image's size"),
+    (
+        SIX,
+        "urdf: six",
+        "urdf: examples/six_axis_cell/six",
+        "six_axis_arm.urdf' exists: a path in a",
+    ),
     (CAMERA, MATRIX, "[[1150, 0, 639.5], [0, 1150, 511.5], [0, 0, 1]]", "its numbers in one list"),
 ]
 
@@ -203,6 +228,9 @@ def test_a_common_mistake_is_refused_with_cause_and_remedy(
     [
         ("object: objects/", "object: objects\\", "did you mean '{}/objects/aluminium_disk.yaml'?"),
         ("objects/aluminium_disk.yaml", "aluminium disk", "mean 'objects/aluminium_disk.yaml'?"),
+        ("object: objects/", "object: config/objects/", "'{}/objects/aluminium_disk.yaml' exists"),
+        ("camera_info.yaml", "file:///home/ann/head.yaml", "in place of the address file://"),
+        ("object: objects/aluminium_disk.yaml", "object: parameters.yaml", "kind parameters, but"),
         ("aluminium_disk", "Aluminium_Disk", "did you mean 'aluminium_disk.yaml'?"),
         (
             "markers: table.yaml",
@@ -351,7 +379,7 @@ RECORDS = [
     ),
     ("tapper", table("energy,distance", taps()), ""),
     ("tapper", table("energy,distance_in", [[e, d / 0.0254] for e, d in taps()]), ""),
-    ("tapper", table("energy,distance_ft", taps()), "no column distance; the header is energy, d"),
+    ("tapper", table("energy,distance_ft", taps()), "the header is energy, distance_ft"),
     ("tapper", "Series 3,\n" + table("energy,distance", taps()), "delete the lines above it"),
     (
         "tapper",

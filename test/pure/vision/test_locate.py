@@ -125,9 +125,10 @@ def test_a_sequence_is_fused(folder, capsys):
 
 
 def test_nothing_found_is_exit_status_1(folder, capsys):
-    assert locate(folder, "empty.png", "text.png") == 1
+    (folder / "pointer.png").write_text("version https://git-lfs.github.com/spec/v1\n")
+    assert locate(folder, "empty.png", "text.png", "pointer.png") == 1
     text = capsys.readouterr().out
-    assert "not found" in text and "cannot be read" in text
+    assert "not found" in text and "cannot be read" in text and "`git lfs pull`" in text
 
 
 def test_annotated_images_are_written(folder, capsys):
@@ -178,6 +179,19 @@ def test_an_invalid_file_is_named(folder, capsys):
     bad.write_text("dictionary: nonsense_9x9\nmarkers: [{id: 1, size: 0.04, x: 0, y: 0}]\n")
     assert main(["locate", str(folder / "shot0.png"), f"--table={bad}"]) == 2
     assert "nonsense_9x9" in capsys.readouterr().err
+
+
+def test_markers_seen_in_place_of_the_reference_markers_are_named(folder, tmp_path, capsys):
+    image = cv2.imread(str(folder / "shot0.png"), cv2.IMREAD_GRAYSCALE)
+    cv2.imwrite(str(tmp_path / "negative.png"), 255 - image)
+    text = (folder / "table.yaml").read_text()
+    (tmp_path / "table.yaml").write_text(text.replace(REFERENCES.dictionary, "4x4_250"))
+    assert locate(folder, str(tmp_path / "negative.png")) == 1
+    assert "are visible inverted; print black markers on white" in capsys.readouterr().out
+    assert main(["locate", str(folder / "shot0.png"), f"--table={tmp_path / 'table.yaml'}"]) == 1
+    assert "of APRILTAG_36H11 are visible; correct the dictionary" in capsys.readouterr().out
+    assert locate(folder, "empty.png") == 1
+    assert "correct the" not in capsys.readouterr().out
 
 
 def test_a_mirrored_image_and_a_mirrored_table_are_named(folder, tmp_path, capsys):
