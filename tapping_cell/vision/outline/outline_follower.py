@@ -12,13 +12,18 @@ from tapping_cell.vision.camera import Array, Image, View
 from tapping_cell.vision.markers.detection import ReferenceMap
 from tapping_cell.vision.object_follower import Failure, Frame, ObjectFollower, Search
 from tapping_cell.vision.observation import Problem
-from tapping_cell.vision.outline.fit import USUAL_BLUR, Linearisation, OutlineFit, fit_again
+from tapping_cell.vision.outline.fit import (
+    USUAL_BLUR,
+    Linearisation,
+    OutlineFit,
+    fit_again,
+    fit_outline,
+)
 from tapping_cell.vision.outline.search import (
     Refused,
     accept,
     find_outlines,
     fit_closely,
-    fit_surely,
     stands_out,
 )
 from tapping_cell.vision.outline.shape import ObjectOutline
@@ -93,7 +98,7 @@ class OutlineFollower(ObjectFollower):
         if not stands_out(image, view, outline, expected):
             return None
         step = self.step(frame.stamp)
-        fit = fit_surely(image, view, outline, expected, blur=self._blur, step=step)
+        fit = fit_outline(image, view, outline, expected, blur=self._blur, step=step)
         if fit is not None and isinstance(accept(fit, outline), OutlineFit):
             self._last_fit = view, fit.linearisation
             return fit

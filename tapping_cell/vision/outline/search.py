@@ -13,7 +13,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import partial
 
 import cv2
 import numpy as np
@@ -66,9 +65,6 @@ _CANDIDATES = 6
 _NEAR = 30
 """Maximum error of the angle found without considering the wall, in steps of
 :func:`turn_differences`. The limit corresponds to 15 degrees."""
-_DOUBTFUL = 0.006
-"""Relative difference between the fitted size and the size in the file, above which the fit is
-repeated with the size fixed."""
 _INSIDE, _BESIDE, _THICK = 8.0, 14.0, np.array([-1.0, 0.0, 1.0])
 """Distances, in pixels, inside and outside the rim at which the brightness of the top is compared
 with that of the surroundings (beyond the wall). At each of these positions, pixels with the offsets
@@ -154,7 +150,7 @@ def fit_closely(
             continue
         if abs(rough.size - 1.0) > LARGEST_STRETCH:
             continue
-        rim = fit_surely(image, view, outline, rough.pose, blur=blur, with_dot=False)
+        rim = fit_outline(image, view, outline, rough.pose, blur=blur, with_dot=False)
         if rim is not None and rim.seen >= least_seen(outline):
             break
     else:
@@ -164,40 +160,10 @@ def fit_closely(
     turned = turn_by_dot(image, view, outline, outline.dot, rim.pose)
     if isinstance(turned, Refused):
         return turned
-    whole = fit_surely(image, view, outline, turned, blur=blur)
+    whole = fit_outline(image, view, outline, turned, blur=blur)
     if whole is None:
         return Refused(Problem.DOT_HIDDEN, "its dot is not seen at the expected position")
     return accept(whole, outline)
-
-
-def fit_surely(
-    image: Image,
-    view: View,
-    outline: ObjectOutline,
-    start: Array,
-    *,
-    blur: float,
-    step: Array | None = None,
-    with_dot: bool = True,
-) -> OutlineFit | None:
-    """Call :func:`fit_outline`, and repeat it with the size fixed to that of the file if the fitted
-    size seems wrong.
-
-    One side of a tall polygon may be confused with a wall as bright as the top, so that the outline
-    is displaced and too small. This wrong fit is nearly as good as the correct fit. However, a fit
-    whose size is fixed to that of the file finds the correct pose.
-    """
-    fit_at = partial(fit_outline, image, view, outline, blur=blur, step=step, with_dot=with_dot)
-    fit = fit_at(start)
-    if fit is None or outline.vertices is None or abs(fit.size - 1.0) < _DOUBTFUL:
-        return fit
-    fixed = fit_at(fit.pose, size_spread=_CERTAIN)
-    if fixed is None:
-        return fit
-    again = fit_at(fixed.pose)
-    if again is None or abs(again.size - 1.0) > abs(fit.size - 1.0):
-        return fit
-    return again if again.seen > fit.seen - 0.1 else fit
 
 
 def _unlike(outline: ObjectOutline, rough: OutlineFit | None, rim: OutlineFit | None) -> Refused:
@@ -260,12 +226,6 @@ def rough_places(
     _paint_over(small, view, scale, known)
     if shrink < 3:
         small = np.asarray(cv2.blur(small, (3, 3)), dtype=np.uint8)
-    if outline.dot is not None:
-        # Remove the dot, because a dot near the rim would split the blob.
-        across_dot = (math.ceil(2.0 * outline.dot.radius / pixel / shrink) + 1) | 1
-        fill = cv2.MORPH_OPEN if outline.dot.brighter else cv2.MORPH_CLOSE
-        cover = np.ones((across_dot, across_dot), dtype=np.uint8)
-        small = np.asarray(cv2.morphologyEx(small, fill, cover), dtype=np.uint8)
     area = outline.area / (float(scale.prod()) * pixel**2)
     wide = int(2.6 * outline.reach / pixel / shrink) | 1
     blobs = _blobs(small, outline.brighter, area, wide)
@@ -306,7 +266,7 @@ def _blobs(small: Image, brighter: bool, area: float, wide: int) -> Iterator[NDA
             # Contours pass through the centres of the outermost pixels, so half a pixel is missing
             # along the whole contour.
             inner = cv2.contourArea(contour)
-            if not _AREAS[0] < (inner + 0.5 * len(contour)) / area < _AREAS[1]:
+            if not inner or not _AREAS[0] < (inner + 0.5 * len(contour)) / area < _AREAS[1]:
                 continue
             hull = np.asarray(cv2.convexHull(contour), dtype=np.int32)
             if cv2.contourArea(hull) <= _LARGEST_HULL_RATIO * max(inner, 1.0):
