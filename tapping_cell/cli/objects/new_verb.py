@@ -16,6 +16,7 @@ square) is ambiguous: stick a marker on it.
 from __future__ import annotations
 
 import argparse
+import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -109,9 +110,18 @@ def run(arguments: argparse.Namespace) -> int:
         return 2
     notes = [f"note: {warning}" for warning in image.warnings]
     print("\n".join([*summary_lines(made, traced), *notes]))
+    files = [
+        f" --{name} {shlex.quote(str(file))}"
+        for name, file in (("camera", arguments.camera), ("table", arguments.table))
+        if file is not None
+    ]
+    written, shot = shlex.quote(str(output)), shlex.quote(str(arguments.image))
     print(
-        f"wrote {output}; measure friction and torque factor with  python -m tapping_cell "
-        f"object learn --object {output} --output FILE"
+        f"wrote {output}\n"
+        "draw the outline into the image:  python -m tapping_cell locate "
+        f"{shot} --object {written}{''.join(files)} --annotate drawn\n"
+        "measure friction and torque factor:  python -m tapping_cell object learn --object "
+        f"{written} --output FILE"
     )
     return 0
 
