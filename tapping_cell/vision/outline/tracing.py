@@ -448,7 +448,7 @@ def _chosen(
                 f" {_places(regions, plane)}"
             )
         # A part of a larger object may have been chosen, such as its print.
-        regions = [max(here, key=lambda one: one.area)]
+        regions = [min(here, key=lambda one: (one.cut, -one.area))]
     whole = [one for one in regions if not one.cut] or regions
     if not whole:
         raise NotTraced(
