@@ -63,6 +63,11 @@ class Start:
     reason: str = ""
     """Reason why the cell would not accept a goal; empty when ready."""
 
+    @property
+    def complete(self) -> bool:
+        """Whether every node has started; a node that reports a fault has."""
+        return all(line.word not in ("starting", "waits") for line in self.lines)
+
 
 def judge(nodes: Sequence[str], state: dict[str, Any], ended: dict[str, str]) -> Start:
     """Determine the start-up state from the state of the cell.
@@ -74,7 +79,7 @@ def judge(nodes: Sequence[str], state: dict[str, Any], ended: dict[str, str]) ->
     world = rows.get("sim_world", {}).get("life") == "active"
     waits_for_world = "sim_world" in nodes and not world
     lines = tuple(_line(name, rows.get(name), ended, waits_for_world) for name in nodes)
-    up = all(line.word not in ("starting", "waits") for line in lines)
+    up = Start(lines, ready=False).complete
     mode, code = state["mode"], state["code"]
     # A busy cell also accepts a goal; the new goal replaces the current one.
     takes = mode == "ready" or (mode == "moving" and state["plan"]["busy"])

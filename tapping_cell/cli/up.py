@@ -15,6 +15,7 @@ operator's page.
 from __future__ import annotations
 
 import argparse
+import itertools
 import math
 import re
 import time
@@ -214,10 +215,11 @@ class _Running:
         """Wait until the cell is ready, then restart nodes that end. Never returns.
 
         Raises:
-            GraphError: the cell is not ready in time, or a required node is lost.
+            GraphError: the cell is not ready in time, a restarted node does not start in time, or a
+                required node is lost.
         """
-        while True:
-            self._get_ready()
+        for again in itertools.chain([False], itertools.repeat(True)):
+            self._get_ready(again)
             while not self._check():
                 time.sleep(CHECK_PERIOD_S)
 
@@ -232,8 +234,9 @@ class _Running:
             self._console.print(f"[red]{incident.node}[/]: {escape(incident.sentence)}")
         return bool(incidents)
 
-    def _get_ready(self) -> None:
-        """Show each node's state until the cell accepts a goal."""
+    def _get_ready(self, again: bool) -> None:
+        """Show each node's state until the cell accepts a goal. ``again``: the cell was ready
+        before, so a fault must be cleared on it, and does not end it."""
         deadline = time.monotonic() + self._arguments.wait
         printed: dict[str, str] = {}
         asked = status = ""
@@ -261,7 +264,7 @@ class _Running:
                     self._console.print(f"[yellow]started, not ready[/]: {escape(start.person)}")
                     self._print_page()
                 asked = start.person or asked
-                if start.person:
+                if start.person or (again and start.complete):
                     deadline = time.monotonic() + self._arguments.wait
                 elif time.monotonic() > deadline:
                     raise GraphError(

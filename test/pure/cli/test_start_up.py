@@ -49,6 +49,15 @@ def test_a_required_operator_action_is_reported_and_does_not_count_as_a_late_sta
     assert not start.ready and start.person == "a reason. a remedy."
 
 
+def test_a_node_with_a_fault_has_started() -> None:
+    """A fault of a cell that was ready is cleared by a person; it must not end `up`."""
+    fault = {"level": "error", "sentence": "no status report from the arm's controller"}
+    start = judge(NODES, cell("fault", ErrorCode.ARM_TIMEOUT, scara_arm=fault), {})
+    assert start.complete and not start.ready and "scara_arm: fault" in start.reason
+    restarted = {"life": "inactive", "level": "ok", "sentence": "not configured"}
+    assert not judge(NODES, cell("fault", tap_planner=restarted, scara_arm=fault), {}).complete
+
+
 def test_devices_wait_for_the_simulated_world_without_cable_hints() -> None:
     state = cell(
         "not ready",
