@@ -15,7 +15,6 @@ operator's page.
 from __future__ import annotations
 
 import argparse
-import itertools
 import math
 import re
 import time
@@ -218,9 +217,11 @@ class _Running:
             GraphError: the cell is not ready in time, a restarted node does not start in time, or a
                 required node is lost.
         """
-        for again in itertools.chain([False], itertools.repeat(True)):
-            self._get_ready(again)
-            while not self._check():
+        self._get_ready(again=False)
+        while True:
+            if self._check():
+                self._get_ready(again=True)
+            else:
                 time.sleep(CHECK_PERIOD_S)
 
     def _check(self) -> bool:

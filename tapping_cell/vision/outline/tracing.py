@@ -160,7 +160,7 @@ def trace_object(
                 "object, write its shape by hand"
             )
     brighter = region.brighter
-    rim = plane.places(_rim(excess if brighter else -excess, region.filled(excess.shape)))
+    rim = plane.places(_rim(excess if brighter else -excess, region.outline))
     radius, corners, middle, deviation = _shape(rim, plane.step)
     angle = marker_pose[2] if marker_pose is not None else _direction(corners)
     pose = (float(middle[0]), float(middle[1]), angle)
@@ -481,14 +481,13 @@ def _places(regions: list[_Region], plane: _Plane) -> str:
     return "; ".join([*told, *([f"and {more} smaller ones"] if more else [])]) or "none"
 
 
-def _rim(excess: NDArray[np.float32], mask: Mask) -> Array:
+def _rim(excess: NDArray[np.float32], outline: NDArray[np.int32]) -> Array:
     """Points (N, 2) of the rim in pixels, with sub-pixel accuracy.
 
     The brightness is sampled across the coarse rim at each of its points. The rim is where the
     brightness is halfway between that inside and that outside.
     """
-    contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    rough = max(contours, key=cv2.contourArea)[:, 0].astype(float)
+    rough = outline[:, 0].astype(float)
     count = len(rough)
     wide = 4
     ahead = np.roll(rough, -wide, axis=0) - np.roll(rough, wide, axis=0)
