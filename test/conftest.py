@@ -21,7 +21,8 @@ for profile, examples in (("default", 15), ("campaign", 1000)):
         deadline=None,
         suppress_health_check=[HealthCheck.too_slow],
     )
-settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "default"))
+PROFILE = os.environ.get("HYPOTHESIS_PROFILE", "default")
+settings.load_profile(PROFILE)
 
 # ROS_DOMAIN_ID of the caller's shell may be that of a real cell, so it is ignored. Each process
 # (also each worker of pytest-xdist) reserves a domain of its own until it ends.
@@ -33,6 +34,14 @@ os.environ.pop("ROS_STATIC_PEERS", None)
 os.environ["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(
     Path(__file__).resolve().parent.parent / "config" / "fastdds_profile.xml"
 )
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Skip the tests that only a campaign runs."""
+    if PROFILE != "campaign":
+        for item in items:
+            if item.get_closest_marker("campaign"):
+                item.add_marker(pytest.mark.skip(reason="takes long: make campaign"))
 
 
 @pytest.fixture

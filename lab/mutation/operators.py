@@ -27,6 +27,9 @@ FLIPS: dict[type[ast.cmpop], type[ast.cmpop]] = {
 }
 TWINS = {"any": "all", "all": "any", "min": "max", "max": "min"}
 SYMMETRIC = frozenset({"min", "max"})
+BOUND = "bound"
+"""Operator that moves the bound of a comparison to the other side. Of continuous quantities, this
+changes nothing but a single value."""
 
 
 def replacements(node: ast.AST, module: ModuleType) -> Iterator[Replacement]:
@@ -55,7 +58,8 @@ def replacements(node: ast.AST, module: ModuleType) -> Iterator[Replacement]:
     elif isinstance(node, ast.Compare):
         for index, op in enumerate(node.ops):
             flipped = FLIPS[type(op)]()
-            yield "compare", _copy(node, ops=[*node.ops[:index], flipped, *node.ops[index + 1 :]])
+            kind = BOUND if isinstance(op, ast.Lt | ast.LtE | ast.Gt | ast.GtE) else "compare"
+            yield kind, _copy(node, ops=[*node.ops[:index], flipped, *node.ops[index + 1 :]])
     elif isinstance(node, ast.Call):
         yield from _calls(node)
     elif isinstance(node, ast.Constant):
@@ -163,6 +167,8 @@ def _is_left_alone(node: ast.AST) -> bool:
         call = node.value
         logs = isinstance(call, ast.Call) and ast.unparse(call.func).endswith("._log")
         return logs or isinstance(call, ast.Constant)
+    if isinstance(node, ast.IfExp):
+        return _is_text(node.body) and _is_text(node.orelse)
     if isinstance(node, ast.Call):
         # The arguments of a sentence's format.
         return isinstance(node.func, ast.Attribute) and node.func.attr in ("format", "join")

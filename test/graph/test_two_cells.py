@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from cell_processes import CAMPAIGN, TIMEOUT_S, processes, run, start
+from cell_processes import TIMEOUT_S, processes, run, start
 
 from tapping_cell.configuration.files import shared_folder
 
@@ -35,7 +35,7 @@ def terminal(process: int) -> str:
     return next((link for link in links if link.startswith("/dev/pts")), "")
 
 
-@CAMPAIGN
+@pytest.mark.campaign
 def test_two_cells_of_one_domain_reach_their_own_goals(tmp_path: Path) -> None:
     """The cells run in two namespaces. Cells in two domains have other names too
     (``test/nodes/test_cell_identity.py``)."""

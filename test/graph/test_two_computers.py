@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from cell_processes import CAMPAIGN
 
 from benchmarks import networks, two_computers
 from tapping_cell.cli.graph import own_domain
@@ -15,7 +14,7 @@ TRIES = 3
 an error, but never with a wrong result."""
 
 
-@CAMPAIGN
+@pytest.mark.campaign
 @pytest.mark.skipif(bool(networks.why_not()), reason=networks.why_not() or "possible")
 def test_a_goal_is_reached_across_three_computers(tmp_path: Path) -> None:
     own = {"ROS_DOMAIN_ID": str(own_domain().number)}

@@ -28,6 +28,7 @@ def test_the_three_notebooks_are_there():
         assert file.read_text(encoding="utf-8").startswith("# %% [markdown]\n# # ")
 
 
+@pytest.mark.campaign
 def test_the_learning_example_runs(monkeypatch, capsys):
     file = EXAMPLES / "learn_to_tap.py"
     monkeypatch.setattr("sys.argv", [str(file), "--generations", "1", "--trials", "16"])

@@ -7,15 +7,9 @@ import subprocess
 import sys
 from pathlib import Path
 
-import pytest
-
 from tapping_cell.nodes import MODULES
 
 CELL = (sys.executable, "-m", "tapping_cell")
-CAMPAIGN = pytest.mark.skipif(
-    os.environ.get("HYPOTHESIS_PROFILE") != "campaign", reason="several cells: make campaign"
-)
-"""Mark of a test that needs too much processor time for every push."""
 TIMEOUT_S = 280
 """Safety timeout of a verb, s; tests wait for events and need a fraction of it."""
 

@@ -164,6 +164,7 @@ def foreign_fit(
     return learn_object(content, asked, moved, launches), friction, factor
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize("tracked", [False, True])
 def test_intervals_contain_the_true_values_in_a_foreign_impact(tracked: bool) -> None:
     inside, width = [], []
