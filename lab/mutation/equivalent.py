@@ -3,10 +3,19 @@
 from __future__ import annotations
 
 COUNTS = "only equality of the counts before and after a request matters"
+QUEUE = "any number of at least the depth of the topic's queue"
+CLOCK = "the clock's time is greater than both"
 
 REASONS: dict[str, str] = {
     "logic.permit:longest_hold:7:operand:1": "check-config refuses a cell that exceeds the limit",
     "logic.stops:StopLatch.__init__:6:value:0": COUNTS,
     "logic.stops:StopLatch.receive:8:operand:1": "no level is asserted unless a stop is latched",
+    "logic.tapper_commands:REFUSED_KEPT:0:value:0": QUEUE,
+    "logic.tapper_commands:REFUSED_KEPT:0:value:1": QUEUE,
+    "logic.tapper_commands:ReceivedCommands.refusal:14:value:0": CLOCK,
+    "logic.tapper_commands:ReceivedCommands.note_refused:10:value:0": CLOCK,
+    "logic.tapper_commands:ReceivedCommands.note_refused:11:operand:0": (
+        "an id that is not new is refused in any case"
+    ),
     "logic.stops:StopLatch.try_reset:23:drop:0": "every new stop cancels the confirmation",
 }
