@@ -17,5 +17,7 @@ REASONS: dict[str, str] = {
     "logic.tapper_commands:ReceivedCommands.note_refused:11:operand:0": (
         "an id that is not new is refused in any case"
     ),
+    "logic.tapper_jobs:WINDOW_S:0:value:1": "the emulated board answers at once",
+    "logic.tapper_jobs:_confirmed:5:operand:0": "another sentence about an unknown outcome",
     "logic.stops:StopLatch.try_reset:23:drop:0": "every new stop cancels the confirmation",
 }
