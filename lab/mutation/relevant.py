@@ -1,5 +1,5 @@
 """Finds the test files that a module's mutants need: those that import it, directly or through
-other modules of ``logic`` and ``hardware``."""
+other modules of ``logic``, ``hardware``, the lab and the tests."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 FOLDERS = ("test/pure/logic", "test/pure/hardware")
-ROOMS = ("tapping_cell/logic", "tapping_cell/hardware")
+ROOMS = ("tapping_cell/logic", "tapping_cell/hardware", "lab", "test")
 
 
 def test_files(modules: Collection[str]) -> list[str]:
@@ -25,10 +25,19 @@ def _reached(file: Path) -> set[str]:
     pending = _imports(file)
     while pending:
         reached |= pending
-        files = {ROOT / f"{name.replace('.', '/')}.py" for name in pending}
-        known = [each for each in files if str(each.parent.relative_to(ROOT)) in ROOMS]
-        pending = {name for each in known if each.exists() for name in _imports(each)} - reached
+        files = {file for name in pending for file in _files(name)}
+        pending = {name for each in files for name in _imports(each)} - reached
     return reached
+
+
+def _files(name: str) -> list[Path]:
+    """Return the file of a module in one of the rooms; a module of the tests has a name without a
+    package."""
+    places = [ROOT] if "." in name else [ROOT / "test/support", *(ROOT / each for each in FOLDERS)]
+    files = [place / f"{name.replace('.', '/')}.py" for place in places]
+    return [
+        each for each in files if str(each.relative_to(ROOT)).startswith(ROOMS) and each.exists()
+    ]
 
 
 @cache
