@@ -18,7 +18,6 @@ from types import CodeType, FunctionType, ModuleType
 from lab.mutation.operators import children, replacements
 
 Function = ast.FunctionDef | ast.AsyncFunctionDef
-EQUALITIES = (ast.Eq, ast.NotEq, ast.Is, ast.IsNot, ast.In, ast.NotIn)
 
 
 class CannotPlant(Exception):
@@ -72,11 +71,7 @@ class Source:
         numbers: Counter[str] = Counter()
         for title, place in self._places():
             for parent, field, index, node, lines in _walk(place, place):
-                is_forced = (
-                    field == "test"
-                    and isinstance(node, ast.Compare)
-                    and isinstance(node.ops[0], EQUALITIES)
-                )
+                is_forced = field == "test" and isinstance(node, ast.Compare)
                 for operator, new in replacements(node, self.module):
                     if operator == "drop" and title.endswith("__init__"):
                         continue  # the next use of the attribute fails

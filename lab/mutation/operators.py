@@ -13,11 +13,11 @@ from types import ModuleType
 
 Replacement = tuple[str, ast.AST]
 """Name of the operator, and the node that replaces the present one."""
-FLIPS: dict[type[ast.cmpop], type[ast.cmpop]] = {
-    ast.Lt: ast.LtE,
-    ast.LtE: ast.Lt,
-    ast.Gt: ast.GtE,
-    ast.GtE: ast.Gt,
+NEGATIONS: dict[type[ast.cmpop], type[ast.cmpop]] = {
+    ast.Lt: ast.GtE,
+    ast.LtE: ast.Gt,
+    ast.Gt: ast.LtE,
+    ast.GtE: ast.Lt,
     ast.Eq: ast.NotEq,
     ast.NotEq: ast.Eq,
     ast.Is: ast.IsNot,
@@ -25,11 +25,9 @@ FLIPS: dict[type[ast.cmpop], type[ast.cmpop]] = {
     ast.In: ast.NotIn,
     ast.NotIn: ast.In,
 }
+"""A bound is not moved (< to <=): of a continuous quantity, this changes a single value."""
 TWINS = {"any": "all", "all": "any", "min": "max", "max": "min"}
 SYMMETRIC = frozenset({"min", "max"})
-BOUND = "bound"
-"""Operator that moves the bound of a comparison to the other side. Of continuous quantities, this
-changes nothing but a single value."""
 
 
 def replacements(node: ast.AST, module: ModuleType) -> Iterator[Replacement]:
@@ -57,9 +55,8 @@ def replacements(node: ast.AST, module: ModuleType) -> Iterator[Replacement]:
         yield "not", node.operand
     elif isinstance(node, ast.Compare):
         for index, op in enumerate(node.ops):
-            flipped = FLIPS[type(op)]()
-            kind = BOUND if isinstance(op, ast.Lt | ast.LtE | ast.Gt | ast.GtE) else "compare"
-            yield kind, _copy(node, ops=[*node.ops[:index], flipped, *node.ops[index + 1 :]])
+            negated = NEGATIONS[type(op)]()
+            yield "compare", _copy(node, ops=[*node.ops[:index], negated, *node.ops[index + 1 :]])
     elif isinstance(node, ast.Call):
         yield from _calls(node)
     elif isinstance(node, ast.Constant):

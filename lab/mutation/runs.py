@@ -16,9 +16,11 @@ import signal
 import sys
 import threading
 import time
+from bisect import bisect
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
+from itertools import accumulate
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -35,6 +37,9 @@ A_GOAL_S = 3.0
 """Processor time that a campaign may take for each goal."""
 MEMORY_B = 4 << 30
 """Limit of a mutant's address space."""
+TESTS_S = 30.0
+"""Processor time of the tests that a mutant meets, s: first those that are short and have found
+most mutants."""
 PATIENCE = 20
 """Multiple of the limit of the processor time after which a mutant that waits for ever is ended."""
 ROOMS = tuple(str(Path(tapping_cell.__path__[0]) / room) for room in ("logic", "hardware"))
@@ -122,6 +127,8 @@ class Runner:
             if isinstance(mutant.place, ast.Assign):
                 tests = sorted({*tests, *_naming(mutant.name.split(":")[1], texts)})
             tests.sort(key=lambda test: covered.seconds[test] / (1 + self._kills[test]))
+            spent = list(accumulate(covered.seconds[test] for test in tests))
+            del tests[bisect(spent, TESTS_S) + 1 :]
             while len(self._running) >= self._jobs:
                 self._end_one(items)
             limit = LEAST_TIME_S + TIME_FACTOR * sum(covered.seconds[test] for test in tests)

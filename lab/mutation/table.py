@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from benchmarks.__main__ import RESULTS, write_section
 from lab.mutation.equivalent import REASONS
 from lab.mutation.mutants import Mutant
-from lab.mutation.operators import BOUND
 from lab.mutation.runs import Result
 
 SECTION = "mutation"
@@ -21,19 +20,16 @@ def survivor(mutant: Mutant) -> str:
 
 
 def lines(name: str, results: Sequence[Result]) -> list[str]:
-    """Return the lines of a module: its counts, and its survivors. Those that move a bound are only
-    counted."""
+    """Return the lines of a module: its counts, and its survivors."""
     tests = sum(bool(each.test) for each in results)
     campaign = sum(bool(each.violation) for each in results)
     left = [each.mutant for each in results if not (each.test or each.violation)]
-    listed = [mutant for mutant in left if f":{BOUND}:" not in mutant.name]
-    explained = sum(mutant.name in REASONS for mutant in listed)
+    explained = sum(mutant.name in REASONS for mutant in left)
     counts = (
         f"{name:<22} {len(results):>4} mutants; found by tests {tests:>4}, by the campaign"
-        f" {campaign:>3}; survivors {len(left):>3}: bounds {len(left) - len(listed):>3},"
-        f" with a reason {explained:>3}"
+        f" {campaign:>3}; survivors {len(left):>3}, with a reason {explained:>3}"
     )
-    return [counts, *(survivor(mutant) for mutant in listed)]
+    return [counts, *(survivor(mutant) for mutant in left)]
 
 
 def write(modules: dict[str, list[str]], goals: int | None) -> None:
