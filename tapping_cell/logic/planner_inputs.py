@@ -9,7 +9,6 @@ from tapping_cell.logic.cell_monitor import CellMonitor, CodedError
 from tapping_cell.logic.clock import Now
 from tapping_cell.logic.effects import Message
 from tapping_cell.logic.goal_handling import GoalHandling
-from tapping_cell.se2 import Pose
 
 
 class PlannerInputs:
@@ -47,20 +46,20 @@ class PlannerInputs:
     def _note_others(self, message: Message, now: Now) -> None:
         if self._goals is None:
             return
-        others = self._goals.objects
+        goals, others = self._goals, self._goals.objects
         others.search(message.searches_unknown_objects)
         for state in message.objects:
             name = state.object_id
-            covered = not state.visible and self._may_be_covered(name, self.monitor.place(name))
+            covered = not state.visible and self._may_be_covered(goals, name)
             if covered:
                 self.monitor.note_covered(name, now)
             others.on_object(state, self.monitor.camera_clock, now, covered)
 
-    def _may_be_covered(self, name: str, pose: Pose | None) -> bool:
-        """Return whether the arm may hide an object of the cell that was last seen at a pose."""
-        tip, lens, goals = self.monitor.tip, self._lens, self._goals
-        if goals is None or not self.monitor.has_arm:
+    def _may_be_covered(self, goals: GoalHandling, name: str) -> bool:
+        """Return whether the arm may hide an object of the cell where it was last seen."""
+        if not self.monitor.has_arm:
             return False
+        pose, tip, lens = self.monitor.place(name), self.monitor.tip, self._lens
         if pose is None or tip is None or lens is None:
             return False
         if not all(map(math.isfinite, (*tip, *lens, *pose))):

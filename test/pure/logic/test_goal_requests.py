@@ -41,6 +41,11 @@ def cell(fault: Any = None, foreign: Any = None) -> CellMonitor:
 
 
 PRESENT = cast(Task, SimpleNamespace(sent=SENT))
+RESULTS = {
+    Request: PositionObject.Result,
+    SingleTap.Goal: SingleTap.Result,
+    ArrangeObjects.Goal: ArrangeObjects.Result,
+}
 ASKED = (request(), SingleTap.Goal(), ArrangeObjects.Goal())
 
 
@@ -94,7 +99,7 @@ def test_a_refusal_is_logged_and_answered(asked, token):
     answers = [effect for effect in effects if isinstance(effect, Answer)]
     assert len(answers) == (token is not None)
     for answer in answers:
-        assert answer.token == token
+        assert answer.token == token and type(answer.response) is RESULTS[type(asked)]
         message = cast(Any, answer.response)
         assert (message.error_code, message.error_msg) == (refused.code, refused.sentence)
 
