@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 from tapping_cell.logic.arm_in_view import may_hide
 from tapping_cell.logic.cell_monitor import CellMonitor, CodedError
 from tapping_cell.logic.clock import Now
@@ -61,8 +59,6 @@ class PlannerInputs:
             return False
         pose, tip, lens = self.monitor.place(name), self.monitor.tip, self._lens
         if pose is None or tip is None or lens is None:
-            return False
-        if not all(map(math.isfinite, (*tip, *lens, *pose))):
             return False
         found = next((one for one in goals.objects.files if one.name == name), None)
         if found is None:
