@@ -17,6 +17,10 @@ REASONS: dict[str, str] = {
     "logic.tapper_commands:ReceivedCommands.note_refused:11:operand:0": (
         "an id that is not new is refused in any case"
     ),
+    "logic.tap_sender:TapSender.__init__:2:value:0": CLOCK,
+    "logic.tap_sender:TapSender.__init__:3:value:0": CLOCK,
+    "logic.tap_sender:TapSender.__init__:5:value:0": CLOCK,
+    "logic.tap_sender:TapSender.next_id:10:value:0": "any greater id serves",
     "logic.tapper_jobs:WINDOW_S:0:value:1": "the emulated board answers at once",
     "logic.tapper_jobs:_confirmed:5:operand:0": "another sentence about an unknown outcome",
     "logic.stops:StopLatch.try_reset:23:drop:0": "every new stop cancels the confirmation",

@@ -97,16 +97,19 @@ def _values(value: object) -> tuple[object, ...]:
 
 
 def _members(node: ast.Attribute, module: ModuleType) -> Iterator[Replacement]:
-    """Replace a member of an enum, or a constant of a message, by the next one of its class."""
+    """Replace a member of an enum, or a constant of a message, by the next one of its class that
+    has another value."""
     if not (isinstance(node.value, ast.Name) and isinstance(node.ctx, ast.Load)):
         return
     owner = getattr(module, node.value.id, None)
     if isinstance(owner, type) and owner.__name__ != "ErrorCode" and node.attr.isupper():
         constants = owner.__members__ if issubclass(owner, Enum) else vars(owner)
         names = [name for name in constants if name.isupper() and name != "ROS_TYPE"]
-        if node.attr in names and len(names) > 1:
-            following = names[(names.index(node.attr) + 1) % len(names)]
-            yield "member", _copy(node, attr=following)
+        at = names.index(node.attr) if node.attr in names else 0
+        for following in (*names[at + 1 :], *names[:at]):
+            if getattr(owner, following) != getattr(owner, node.attr):
+                yield "member", _copy(node, attr=following)
+                break
 
 
 def _statements(node: ast.stmt) -> Iterator[Replacement]:
@@ -161,8 +164,8 @@ def _is_text(node: ast.AST) -> bool:
 
 def _is_left_alone(node: ast.AST) -> bool:
     if isinstance(node, ast.Expr):
-        call = node.value
-        logs = isinstance(call, ast.Call) and ast.unparse(call.func).endswith("._log")
+        call = node.value.value if isinstance(node.value, ast.Yield) else node.value
+        logs = isinstance(call, ast.Call) and ast.unparse(call.func).endswith(("._log", "Log"))
         return logs or isinstance(call, ast.Constant)
     if isinstance(node, ast.IfExp):
         return _is_text(node.body) and _is_text(node.orelse)

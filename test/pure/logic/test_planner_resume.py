@@ -6,19 +6,24 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import pytest
 from logic_parts import goal_handling
 from test_planner_with_played_devices import FAST, Actors
 
+from tapping_cell.logic.cell_monitor import CellMonitor
 from tapping_cell.logic.clock import Now
+from tapping_cell.logic.confirmation import Confirmations
 from tapping_cell.logic.effects import Answer, Content, Effect, KeepGoal, Log, Publish
-from tapping_cell.logic.goal_handling import GoalHandling
+from tapping_cell.logic.goal_handling import GoalHandling, Request
 from tapping_cell.logic.host import Activated, Configured, Deactivated, UnansweredRequest
 from tapping_cell.logic.planner import PlannerLogic
 from tapping_cell.logic.planner_settings import PlannerSettings
 from tapping_cell.logic.planner_states import State
+from tapping_cell.logic.resumption import KeptGoal, Resumption
+from tapping_cell.logic.task import Task
 from tapping_cell.messages import (
     ArmState,
     Bool,
@@ -404,3 +409,27 @@ def test_a_resumed_goal_still_probes(probe: bool) -> None:
     _, made = started({**GOAL, "probe": probe})
     stored = kept_goal(made)
     assert stored is not None and stored["probe"] is probe
+
+
+@pytest.mark.parametrize("resumable", [True, False])
+@pytest.mark.parametrize("within", [0.0, 0.5, 30.0])
+def test_a_goal_is_stored_if_it_may_be_resumed(within: float, resumable: bool) -> None:
+    kept = Resumption(within, CellMonitor(0.5), Confirmations(False))
+    task = SimpleNamespace(
+        **{"resumable": resumable, "goal": FAR, "tolerance": (0.001, 0.02), "max_taps": 20},
+        **{"taps": 3, "expires": NOW.steady + 60.0, "ask": True, "probe": False, "object_id": ""},
+    )
+    stored = list(kept.keep(cast(Task, task), NOW, is_tapping=True))
+    assert bool(stored) == (resumable and within > 0)
+    for effect in stored:
+        assert isinstance(effect, KeepGoal) and effect.content is not None
+        assert effect.content["taps"] == 4, "the tap under way counts"
+        assert effect.content["time_left"] == 60.0
+
+
+def test_the_time_limit_runs_on_until_the_goal_is_resumed() -> None:
+    request = Request(PoseStamped(), 0.001, 0.02, 20, 60.0)
+    kept = KeptGoal(request, False, {}, NOW.steady, NOW.steady + 90.0)
+    for waited, left in ((0.0, 60.0), (20.0, 40.0), (59.5, 1.0), (80.0, 1.0)):
+        now = Now(NOW.steady + waited, NOW.ros)
+        assert kept.remaining(now) == replace(request, time_limit=left)

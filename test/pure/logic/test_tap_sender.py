@@ -13,7 +13,7 @@ from tapping_cell.logic.cell_monitor import CellMonitor
 from tapping_cell.logic.clock import Now, to_nanoseconds
 from tapping_cell.logic.peer_clock import SKEW_LIMIT_S
 from tapping_cell.logic.tap_commands import LARGEST_JUMP
-from tapping_cell.logic.tap_sender import PARKING_S, WITHDRAW_AGAIN_S, TapSender
+from tapping_cell.logic.tap_sender import WITHDRAW_AGAIN_S, TapSender
 from tapping_cell.logic.task import Shot
 from tapping_cell.messages import TapCommand
 
@@ -89,6 +89,8 @@ def test_a_tap_of_an_earlier_planner_is_withdrawn(orphan: int) -> None:
     made = sender(Monitor(orphan=orphan))
     found = requests(made.withdraw_orphan(at(START)))
     assert found == ([(TapCommand.WITHDRAW, TAP)] if orphan else [])
+    list(made.withdraw(TAP + 1, at(START)))
+    assert requests(made.withdraw_orphan(at(START))) == found
 
 
 @pytest.mark.parametrize(
@@ -129,7 +131,7 @@ def test_a_command_to_clear_the_view_expires_soon() -> None:
     assert (command.request, command.tap_id) == (TapCommand.CLEAR_VIEW, CLOCK)
     assert command.header.frame_id == "table" and to_nanoseconds(command.header.stamp) == now.ros
     left = 1e-9 * (to_nanoseconds(command.expiry) - now.ros)
-    assert left == pytest.approx(PARKING_S + SKEW_LIMIT_S)
+    assert left == pytest.approx(0.5 + SKEW_LIMIT_S)
 
 
 def test_a_tap_expires_after_its_allowance() -> None:
