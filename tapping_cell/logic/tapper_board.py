@@ -127,7 +127,7 @@ class LastTap:
 
     def note_speed(self, reply: Reply) -> None:
         """Store the speed that the board has measured for this tap."""
-        ours = reply.last_fired == self.tap_id and reply.speed is not None
+        ours = reply.last_fired == self.tap_id
         self.measured_speed = reply.speed if ours and reply.speed is not None else math.nan
 
 
