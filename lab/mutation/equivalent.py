@@ -17,6 +17,8 @@ REASONS: dict[str, str] = {
     "logic.tapper_commands:ReceivedCommands.note_refused:11:operand:0": (
         "an id that is not new is refused in any case"
     ),
+    "logic.standing_still:StandingStill.__init__:3:value:0": "set before the first request",
+    "logic.standing_still:StandingStill.__init__:4:value:0": "ids are seconds of the clock",
     "logic.tap_sender:TapSender.__init__:2:value:0": CLOCK,
     "logic.tap_sender:TapSender.__init__:3:value:0": CLOCK,
     "logic.tap_sender:TapSender.__init__:5:value:0": CLOCK,

@@ -117,6 +117,11 @@ def test_a_striker_charged_for_another_tap_does_not_delay_the_arm(tap_id: int) -
     made = standing()
     made.on_tapper_state(tapper(TapperState.CHARGED, tap_id=tap_id), TAP, True, at(START))
     assert not made.waits_for_striker(START, at(START))
-    if tap_id == 0:
+
+
+def test_without_a_tap_a_charged_striker_does_not_delay_the_arm() -> None:
+    made = standing()
+    for _ in range(2):
         made.on_tapper_state(tapper(TapperState.CHARGED, tap_id=0), 0, True, at(START))
         assert not made.waits_for_striker(START, at(START))
+        made.on_tapper_state(tapper(TapperState.SAFE, TapperState.FIRED), TAP, True, at(START))
