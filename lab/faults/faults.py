@@ -208,11 +208,12 @@ def _functions_of(node: str) -> dict[str, str]:
     return dict(sorted(found.items()))
 
 
-METHODS = {node: tuple(_functions_of(node)) for node in NODES}
+_SOURCES = {node: _functions_of(node) for node in NODES}
+METHODS = {node: tuple(sources) for node, sources in _SOURCES.items()}
 """Functions of each node's state machine."""
 DECIDING = {
-    node: tuple(name for name, source in _functions_of(node).items() if ISSUES.search(source))
-    for node in NODES
+    node: tuple(name for name, source in sources.items() if ISSUES.search(source))
+    for node, sources in _SOURCES.items()
 }
 """Functions that issue an effect. If such a handler raises, its effects are lost, but the state has
 already changed."""
