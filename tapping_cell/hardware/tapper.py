@@ -352,14 +352,14 @@ class TapperDriver(RecordingTapper):
         """
         if not 0 <= channel < self._channels:
             raise self._record_fault(FaultReason.SETTINGS_MISMATCH, self._no_such_channel(channel))
-        energy_uj = round(energy * 1e6) if energy == energy and abs(energy) < 1e9 else -1
-        if not (0 < shot <= protocol.MAXIMUM_SHOT and 0 < energy_uj <= protocol.MAXIMUM_ENERGY_UJ):
+        most_uj = protocol.MAXIMUM_ENERGY_UJ
+        if not (0 < shot <= protocol.MAXIMUM_SHOT and 1 <= 1e6 * energy <= most_uj):
             raise self._record_fault(
                 FaultReason.OUT_OF_RANGE,
                 f"shot number {shot} or energy {energy:g} J is out of range: the number must be 1"
-                f" to {protocol.MAXIMUM_SHOT}, the energy above 0 and at most"
-                f" {protocol.MAXIMUM_ENERGY_UJ * 1e-6:g} J",
+                f" to {protocol.MAXIMUM_SHOT}, the energy 1e-06 to {most_uj * 1e-6:g} J",
             )
+        energy_uj = round(1e6 * energy)
         self._refuse_spent(shot)
         until = self._transport.now() + self.settings.home_timeout
         while True:
