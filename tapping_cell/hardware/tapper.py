@@ -186,10 +186,7 @@ class TapperDriver(RecordingTapper):
         self._channels = 1
         self._channel = 0
         self._mode = self.settings.mode
-        self._received = ReceivedBytes()
-        self._sends = 0
-        self._damaged = 0
-        """Number of requests since ``_begin_exchange`` whose answers were damaged."""
+        self._begin_exchange()
 
     @property
     def connected(self) -> bool:
@@ -597,7 +594,9 @@ class TapperDriver(RecordingTapper):
     def _begin_exchange(self) -> None:
         """Reset the counts of received bytes and of requests."""
         self._received = ReceivedBytes()
-        self._sends = self._damaged = 0
+        self._sends = 0
+        self._damaged = 0
+        """Number of these requests whose answers were damaged."""
 
     def _require_readable(self) -> None:
         """Raise PROTOCOL if replies were received, but most of them were unreadable."""

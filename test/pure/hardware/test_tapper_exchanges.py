@@ -184,9 +184,12 @@ def test_sequence_numbers_increase_by_one_and_wrap() -> None:
     cell.driver._sequence = 0xFFFE
     for _ in range(3):
         cell.driver.status()
-    cell.driver._sequence = 0xFFFF
-    cell.driver.connect()
-    assert [number for _, number in cell.board.numbers] == [0xFFFF, 0, 1, 0, 1]
+    assert [number for _, number in cell.board.numbers] == [0xFFFF, 0, 1]
+    for last, next_one in ((0x7FFF, 0x8000), (0xFFFF, 0)):
+        cell.driver._sequence = last
+        cell.board.numbers.clear()
+        cell.driver.connect()
+        assert [number for _, number in cell.board.numbers] == [next_one, next_one + 1]
 
 
 @pytest.mark.parametrize("first", [LOST, {"result": "OK"}, [b"@7,"]])
@@ -248,6 +251,9 @@ def test_a_line_that_is_lost_ends_the_session() -> None:
     with expect_fault(FaultReason.DISCONNECTED):
         cell.driver.status()
     assert not cell.driver.connected and cell.driver.counters.last_error == "the line"
+    cell = Cell()
+    cell.board.is_open = False
+    assert not cell.driver.connected
 
 
 # Requests and replies
@@ -298,6 +304,11 @@ def test_mostly_damaged_replies_are_distinguished_from_silence(replies, reason) 
     cell.driver.status()
     with expect_fault(FaultReason.TIMEOUT):
         cell.driver.status()
+    cell.board.script |= {"STATUS": [[DAMAGED]], "HELLO": [LOST]}
+    with expect_fault(FaultReason.PROTOCOL):
+        cell.driver.status()
+    with expect_fault(FaultReason.UNKNOWN_FIRMWARE):
+        cell.driver.connect(0.0)
 
 
 def test_damaged_frames_and_other_bytes_are_counted() -> None:
@@ -565,7 +576,7 @@ def test_a_shot_is_one_request_with_the_deadline_on_the_clock_of_the_board() -> 
     result = cell.fire(0.04, lambda by: promised.append(by) is None)
     assert result.outcome is FireOutcome.FIRED and result.shot == 7
     assert cell.board.requests == ["STATUS", "FIRE 7 540"]
-    assert promised == [pytest.approx(1000.0 + (0.04 + 0.033) * 1.01)]
+    assert promised == [pytest.approx(1000.0 + (0.04 + 0.033) * 1.01, abs=1e-6)]
     assert cell.driver.counters.fired == 1
     with expect_fault(FaultReason.SHOT_SPENT):
         cell.fire()
