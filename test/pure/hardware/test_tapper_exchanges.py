@@ -78,6 +78,7 @@ class Board:
         self._require()
         session, sequence, *words = data[1:].split(b"*")[0].decode().split(",")
         self.requests.append(" ".join(words))
+        assert len(self.requests) < 2000, "a call does not end"
         self.numbers.append((int(session), int(sequence)))
         planned: list[Said] = self.script.get(words[0], [{}])
         said = planned.pop(0) if len(planned) > 1 else planned[0]
