@@ -20,6 +20,12 @@ REASONS: dict[str, str] = {
     ),
     "logic.tapper_jobs:WINDOW_S:0:value:1": "the emulated board answers at once",
     "logic.tapper_jobs:_confirmed:5:operand:0": "another sentence about an unknown outcome",
+    "hardware.tapper:LONGEST_CHARGE:0:value:0": (
+        "a default argument, which no mutant of the constant changes"
+    ),
+    "hardware.tapper:TapperDriver.__init__:11:value:0": "every session draws its number",
+    "hardware.tapper:TapperDriver.__init__:12:value:0": "any first number",
+    "hardware.tapper:TapperDriver._greet:10:value:0": "any small number of tries",
     "hardware.output_tapper:WAIT:0:value:0": PERIOD,
     "hardware.output_tapper:WAIT:0:value:1": PERIOD,
     "hardware.output_tapper:OutputTapperDriver._reply:4:operand:0": (
