@@ -178,6 +178,8 @@ def test_a_session_begins_with_a_greeting_and_the_mode(drawn: int, session: int)
     assert not board.is_open and not driver.connected
     with expect_fault(FaultReason.DISCONNECTED):
         driver.status()
+    driver.connect()
+    assert driver.counters.reconnects == 1, "nothing was lost"
 
 
 def test_sequence_numbers_increase_by_one_and_wrap() -> None:
@@ -246,8 +248,13 @@ def test_a_board_that_restarted_or_was_taken_over_ends_the_session(change) -> No
     assert not cell.driver.connected
 
 
-def test_a_line_that_is_lost_ends_the_session() -> None:
+def test_a_line_that_is_lost_ends_the_session_but_a_stop_of_the_line_does_not() -> None:
     cell = Cell()
+    cell.board.stopped = True
+    with expect_fault(FaultReason.STOPPED):
+        cell.driver.status()
+    assert cell.driver.connected
+    cell.board.stopped = False
     cell.board.broken = True
     with expect_fault(FaultReason.DISCONNECTED):
         cell.driver.status()
