@@ -214,11 +214,21 @@ def test_a_silent_board_is_refused_after_the_time_limit() -> None:
     assert not board.is_open and not driver.connected
 
 
-@pytest.mark.parametrize("version", ["1.9.0", "3.0.0"])
-def test_another_version_of_the_protocol_is_refused(version: str) -> None:
+@pytest.mark.parametrize(
+    "greeting",
+    [
+        {"version": "1.9.0"},
+        {"version": "3.0.0"},
+        [
+            b"@1,1,WELCOME,other,words,1.9.0*%04X\n"
+            % protocol.crc16(b"1,1,WELCOME,other,words,1.9.0")
+        ],
+    ],
+)
+def test_another_version_of_the_protocol_is_refused(greeting: Said) -> None:
     board = Board()
-    board.script["HELLO"] = [{"version": version}]
-    with expect_fault(FaultReason.UNKNOWN_FIRMWARE, f"firmware {version} uses another protocol"):
+    board.script["HELLO"] = [greeting]
+    with expect_fault(FaultReason.UNKNOWN_FIRMWARE, r"firmware \S+ uses another protocol"):
         TapperDriver(board).connect()
 
 
@@ -300,6 +310,7 @@ def test_a_request_is_repeated_unchanged_until_it_is_answered() -> None:
         ([[DAMAGED], LOST], FaultReason.TIMEOUT),
         ([[DAMAGED], [DAMAGED], LOST], FaultReason.PROTOCOL),
         ([[NOISE], LOST], FaultReason.PROTOCOL),
+        ([[b"ok\n"]], FaultReason.PROTOCOL),
     ],
 )
 def test_mostly_damaged_replies_are_distinguished_from_silence(replies, reason) -> None:
