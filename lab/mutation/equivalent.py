@@ -4,6 +4,7 @@ from __future__ import annotations
 
 COUNTS = "only equality of the counts before and after a request matters"
 QUEUE = "any number of at least the depth of the topic's queue"
+PERIOD = "any period far below the pulse and the latency"
 CLOCK = "the clock's time is greater than both"
 
 REASONS: dict[str, str] = {
@@ -25,5 +26,16 @@ REASONS: dict[str, str] = {
     "logic.tap_sender:TapSender.next_id:10:value:0": "any greater id serves",
     "logic.tapper_jobs:WINDOW_S:0:value:1": "the emulated board answers at once",
     "logic.tapper_jobs:_confirmed:5:operand:0": "another sentence about an unknown outcome",
+    "hardware.tapper:LONGEST_CHARGE:0:value:0": (
+        "a default argument, which no mutant of the constant changes"
+    ),
+    "hardware.tapper:TapperDriver.__init__:11:value:0": "every session draws its number",
+    "hardware.tapper:TapperDriver.__init__:12:value:0": "any first number",
+    "hardware.tapper:TapperDriver._greet:10:value:0": "any small number of tries",
+    "hardware.output_tapper:WAIT:0:value:0": PERIOD,
+    "hardware.output_tapper:WAIT:0:value:1": PERIOD,
+    "hardware.output_tapper:OutputTapperDriver._reply:4:operand:0": (
+        "every caller has checked that the guard was received"
+    ),
     "logic.stops:StopLatch.try_reset:23:drop:0": "every new stop cancels the confirmation",
 }

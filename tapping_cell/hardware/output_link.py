@@ -74,4 +74,4 @@ class OutputLink(Connection, Protocol):
         """Wait for new input for up to ``duration`` s."""
 
     def sleep(self, duration: float) -> None:
-        """Sleep for ``duration`` s, even during a stop."""
+        """Sleep for ``duration`` s, even during a stop; not at all if it is negative."""

@@ -82,10 +82,8 @@ class OutputTapperDriver(RecordingTapper):
     def __init__(
         self, link: OutputLink, settings: OutputTapperSettings, memory: ShotMemory
     ) -> None:
+        super().__init__()
         self.settings = settings
-        # A pulse that an earlier process sent may still be in transmission, so assume the longest
-        # pulse.
-        super().__init__(link.now() + self._longest(max(settings.pulses)))
         self._link = link
         self._memory = memory
         self._connected = False
@@ -223,17 +221,15 @@ class OutputTapperDriver(RecordingTapper):
                 " was too slow"
             )
             return self._not_fired(shot, HardwareFault(FaultReason.TIMEOUT, sentence))
-        # From here on the output may be on, until it is confirmed off.
-        self._release_by = math.inf
         try:
             on, off = self._send_pulse(pulse)
-            self._await(on, off, asked, release_by)
+            self._await_pulse(asked, release_by)
             answers = self._link.answer(on), self._link.answer(off)
         except HardwareFault as fault:
             self._connected = False
             self._sleep_until(release_by)
-            return self._unknown_result(shot, release_by, fault.sentence)
-        return self._judge(shot, asked, release_by, *answers)
+            return self._unknown_result(shot, fault.sentence)
+        return self._judge(shot, asked, *answers)
 
     def discharge(self) -> Reply:
         """Discard the prepared shot and switch the output off."""
@@ -279,50 +275,38 @@ class OutputTapperDriver(RecordingTapper):
             )
         return on, off
 
-    def _await(self, on: int, off: int, asked: float, release_by: float) -> None:
-        """Wait for the answers and the read-back, at most until ``release_by``."""
-        while self._link.now() < release_by:
-            pending = Answer.PENDING in (self._link.answer(on), self._link.answer(off))
-            if not pending and self._off_since(asked):
-                return
+    def _await_pulse(self, asked: float, release_by: float) -> None:
+        """Wait until the read-back has shown the pulse, at most until ``release_by``."""
+        while self._link.now() < release_by and not self._off_since(asked):
             self._link.wait(WAIT)
 
     def _off_since(self, asked: float) -> bool:
         """Return whether the read-back has shown the output on since ``asked`` and now shows it
         off."""
-        read_back = self._link.read_back
-        seen = self._link.last_on >= asked
-        return seen and read_back is not None and not read_back.level
+        return self._link.last_on >= asked and not self._reads_on()
 
-    def _judge(
-        self, shot: int, asked: float, release_by: float, on: Answer, off: Answer
-    ) -> FireResult:
-        seen = self._link.reads_back and self._link.last_on >= asked
-        over = self._off_since(asked)
-        proven_off = over if seen else off in (Answer.DONE, Answer.UNREPORTED)
+    def _judge(self, shot: int, asked: float, on: Answer, off: Answer) -> FireResult:
+        seen = self._link.last_on >= asked
+        proven_off = not self._reads_on() if seen else off in (Answer.DONE, Answer.UNREPORTED)
         if not proven_off:
             # Reconnecting switches the output off and waits for the confirmation.
             self._connected = False
             self.counters.last_error = (
                 f"{self._link.name} did not confirm that it is off after shot {shot}"
             )
-        else:
-            self._release_by = self._link.now() if over else release_by
         if seen:
             self.counters.fired += 1
             self._last_fired = shot
-            return FireResult(FireOutcome.FIRED, shot, released_by=self._release_by)
+            return FireResult(FireOutcome.FIRED, shot)
         if on is Answer.REFUSED and self._link.reads_back:
-            self._release_by = self._link.now()
             sentence = f"{self._link.name} refused to switch on"
             return self._not_fired(shot, HardwareFault(FaultReason.REJECTED, sentence))
-        self._sleep_until(release_by)
         why = (
             "the read-back did not show the output on"
             if self._link.reads_back
             else "the output is not read back"
         )
-        return self._unknown_result(shot, release_by, why)
+        return self._unknown_result(shot, why)
 
     def _refuse_spent(self, shot: int) -> None:
         if shot <= self._attempted:
@@ -359,8 +343,6 @@ class OutputTapperDriver(RecordingTapper):
                 f"{self._link.name} refused to switch off: check the number of the output and"
                 " whether the robot's driver may switch it",
             )
-        if math.isinf(self._release_by):
-            self._release_by = self._link.now() + self.settings.latency
 
     def _reads_on(self) -> bool:
         return self._link.read_back is not None and self._link.read_back.level
@@ -417,9 +399,7 @@ class OutputTapperDriver(RecordingTapper):
         )
 
     def _sleep_until(self, time: float) -> None:
-        left = time - self._link.now()
-        if left > 0:
-            self._link.sleep(left)
+        self._link.sleep(time - self._link.now())
 
     def _require(self) -> None:
         self._require_no_stop()

@@ -66,9 +66,6 @@ class FireResult:
     outcome: FireOutcome
     shot: int
     sentence: str = ""
-    released_by: float | None = None
-    """Time of the host's steady clock, in s, after which the release output is certainly off; None
-    for NOT_FIRED, because the output was never on."""
     fault: HardwareFault | None = None
     """Reason why the board refused to fire; None if the last check refused."""
 
@@ -131,12 +128,11 @@ class TapperCounters:
 class RecordingTapper:
     """State that every tapper driver keeps: counters, the stop latch and the last shots."""
 
-    def __init__(self, release_by: float) -> None:
+    def __init__(self) -> None:
         self.counters = TapperCounters()
         self.last_reply: Reply | None = None
         """Last reply of the tapper."""
         self._attempted = 0
-        self._release_by = release_by
         self._stopped = threading.Event()
 
     @property
@@ -144,27 +140,16 @@ class RecordingTapper:
         """True if ``stop`` is latched in this driver."""
         return self._stopped.is_set()
 
-    @property
-    def release_impossible_after(self) -> float:
-        """Time of the host's steady clock, in s, after which no shot sent so far can still be
-        fired; infinity if an output was not confirmed to be off.
-
-        The time also covers shots that an earlier process sent, and it is valid even if frames were
-        lost.
-        """
-        return self._release_by
-
     def _not_fired(self, shot: int, fault: HardwareFault) -> FireResult:
         return FireResult(FireOutcome.NOT_FIRED, shot, str(fault), fault=fault)
 
-    def _unknown_result(self, shot: int, release_by: float, why: str) -> FireResult:
+    def _unknown_result(self, shot: int, why: str) -> FireResult:
         self.counters.unknown += 1
         return FireResult(
             FireOutcome.UNKNOWN,
             shot,
             f"it is unknown whether shot {shot} was fired ({why}): check where the object is, "
             "do not fire again",
-            release_by,
         )
 
     def _require_no_stop(self) -> None:
@@ -189,9 +174,7 @@ class TapperDriver(RecordingTapper):
         settings: TapperSettings | None = None,
         draw_number: Callable[[int], int] = secrets.randbelow,
     ) -> None:
-        # A FIRE that an earlier process sent may still be in transmission to the board, so assume
-        # the longest window.
-        super().__init__(self._latest_release(transport.now(), protocol.LONGEST_WINDOW))
+        super().__init__()
         self.settings = settings or TapperSettings()
         self._transport = transport
         self._draw_number = draw_number
@@ -203,10 +186,7 @@ class TapperDriver(RecordingTapper):
         self._channels = 1
         self._channel = 0
         self._mode = self.settings.mode
-        self._received = ReceivedBytes()
-        self._sends = 0
-        self._damaged = 0
-        """Number of requests since ``_begin_exchange`` whose answers were damaged."""
+        self._begin_exchange()
 
     @property
     def connected(self) -> bool:
@@ -369,14 +349,14 @@ class TapperDriver(RecordingTapper):
         """
         if not 0 <= channel < self._channels:
             raise self._record_fault(FaultReason.SETTINGS_MISMATCH, self._no_such_channel(channel))
-        energy_uj = round(energy * 1e6) if energy == energy and abs(energy) < 1e9 else -1
-        if not (0 < shot <= protocol.MAXIMUM_SHOT and 0 < energy_uj <= protocol.MAXIMUM_ENERGY_UJ):
+        most_uj = protocol.MAXIMUM_ENERGY_UJ
+        if not (0 < shot <= protocol.MAXIMUM_SHOT and 1 <= 1e6 * energy <= most_uj):
             raise self._record_fault(
                 FaultReason.OUT_OF_RANGE,
                 f"shot number {shot} or energy {energy:g} J is out of range: the number must be 1"
-                f" to {protocol.MAXIMUM_SHOT}, the energy above 0 and at most"
-                f" {protocol.MAXIMUM_ENERGY_UJ * 1e-6:g} J",
+                f" to {protocol.MAXIMUM_SHOT}, the energy 1e-06 to {most_uj * 1e-6:g} J",
             )
+        energy_uj = round(1e6 * energy)
         self._refuse_spent(shot)
         until = self._transport.now() + self.settings.home_timeout
         while True:
@@ -473,7 +453,6 @@ class TapperDriver(RecordingTapper):
             sentence = f"the last check before FIRE forbade shot {shot}"
             return FireResult(FireOutcome.NOT_FIRED, shot, sentence)
         self._attempted = shot
-        self._release_by = max(self._release_by, release_by)
         deadline = protocol.deadline_after(sample.time_ms, window)
         try:
             reply = self._send_fire(
@@ -497,8 +476,7 @@ class TapperDriver(RecordingTapper):
             return self._unknown(shot, release_by, "the tapper restarted")
         if reply.last_fired == shot:
             self.counters.fired += 1
-            off_by = self._transport.now() + protocol.LONGEST_PULSE * (1 + CLOCK_TOLERANCE)
-            return FireResult(FireOutcome.FIRED, shot, released_by=min(off_by, release_by))
+            return FireResult(FireOutcome.FIRED, shot)
         if reply.result is Result.SESSION:
             self._boot = None
         self.counters.late += reply.result is Result.LATE
@@ -571,12 +549,11 @@ class TapperDriver(RecordingTapper):
         return reply if reply.mode is self._mode else self.set_mode(self._mode)
 
     def _unknown(self, shot: int, release_by: float, why: str) -> FireResult:
-        result = self._unknown_result(shot, release_by, why)
         rest = release_by - self._transport.now()
         if rest > 0:
             # Wait even during a stop, because the stop may have been lost on its way to the board.
             self._transport.sleep(rest)
-        return result
+        return self._unknown_result(shot, why)
 
     def _next_sequence(self) -> int:
         self._sequence = (self._sequence + 1) & 0xFFFF
@@ -617,7 +594,9 @@ class TapperDriver(RecordingTapper):
     def _begin_exchange(self) -> None:
         """Reset the counts of received bytes and of requests."""
         self._received = ReceivedBytes()
-        self._sends = self._damaged = 0
+        self._sends = 0
+        self._damaged = 0
+        """Number of these requests whose answers were damaged."""
 
     def _require_readable(self) -> None:
         """Raise PROTOCOL if replies were received, but most of them were unreadable."""

@@ -51,8 +51,6 @@ def test_charge_fire_measure(plug: Callable[..., PseudoTerminal]) -> None:
     assert driver.charge(3, 0.0125).state is State.CHARGED
     result = fire(driver, 3)
     assert (result.outcome, result.shot, result.sentence) == (FireOutcome.FIRED, 3, "")
-    assert result.released_by is not None
-    assert cell.emulator.fires[0][2] < result.released_by < time.monotonic() + 0.04
     assert cell.shots() == [3]
     assert cell.emulator.fires[0][1] == pytest.approx(0.0125, rel=0.03)
     assert driver.status().speed == 0.5
@@ -87,7 +85,6 @@ def test_not_charged_is_not_fired(plug: Callable[..., PseudoTerminal]) -> None:
     driver.home()
     result = fire(driver, 5)
     assert result.outcome is FireOutcome.NOT_FIRED and "never charged" in result.sentence
-    assert result.released_by is None
     assert cell.shots() == []
 
 
@@ -204,8 +201,8 @@ def test_unplugging_at_the_shot_gives_an_unknown_outcome_and_waits_until_it_is_s
         return True
 
     result = driver.fire(5, 0.1, unplug)
-    assert result.outcome is FireOutcome.UNKNOWN and result.released_by == bounds[0]
-    assert time.monotonic() >= bounds[0] == driver.release_impossible_after
+    assert result.outcome is FireOutcome.UNKNOWN
+    assert time.monotonic() >= bounds[0]
     cell.port.plug_in()
     driver.connect()
     driver.charge(6, 0.01)
@@ -232,7 +229,7 @@ def test_a_fire_command_delayed_after_the_last_check_does_not_fire(
     began = time.monotonic()
     result = driver.fire(5, 0.1, freeze)
     took = time.monotonic() - began
-    assert result.outcome is FireOutcome.NOT_FIRED and result.released_by is None
+    assert result.outcome is FireOutcome.NOT_FIRED
     assert cell.shots() == []
     # The board discharges after 0.5 s without a frame. On a busy machine, a short delay can take
     # that long, and then the reason for not firing is not checked.

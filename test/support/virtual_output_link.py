@@ -29,6 +29,10 @@ class OutputFaults:
     lost_off: int = 0
     refuses: bool = False
     """Whether the robot answers that it did not switch on."""
+    refuses_off: bool = False
+    """Whether the robot answers that it did not switch off."""
+    stuck: bool = False
+    """Whether the output stays on although the robot answers that it switched it off."""
     lost_answers: bool = False
     late: float = 0.0
     """Additional delay of a level's effect, in s."""
@@ -92,6 +96,8 @@ class VirtualOutputLink:
         self.interface = interface
         self.times_pulse = interface == "pulse"
         self.reads_back = reads_back
+        self.published = {"guard": (-math.inf, math.inf), "read_back": (-math.inf, math.inf)}
+        """Times of the first and of the last message of each input."""
         self._now = now
         self._sleep = sleep
         self._period = 1 / rate
@@ -108,16 +114,17 @@ class VirtualOutputLink:
     @property
     def guard(self) -> InputLevel | None:
         """Level of the guard, published at ``rate`` Hz."""
-        reported_at = self._last_report_at()
+        reported_at = self._last_report_at("guard")
         return None if reported_at is None else InputLevel(self.device.guard_closed, reported_at)
 
     @property
     def read_back(self) -> InputLevel | None:
         """Level of the output, published at ``rate`` Hz and at each change."""
-        reported_at = self._last_report_at()
+        reported_at = self._last_report_at("read_back")
         if not self.reads_back or reported_at is None:
             return None
-        changes = [at for at, _ in self.device.edges if reported_at < at <= self._now()]
+        until = min(self._now(), self.published["read_back"][1])
+        changes = [at for at, _ in self.device.edges if reported_at < at <= until]
         reported_at = max([reported_at, *changes])
         return InputLevel(
             self.device.level(reported_at) and not self.device.faults.broken_wire, reported_at
@@ -172,16 +179,18 @@ class VirtualOutputLink:
 
     def switch(self, on: bool) -> int:
         """Send a level."""
+        assert not self.times_pulse
         self._require()
         return self._request(on)
 
     def pulse(self, duration: float) -> int:
         """Send a pulse that the robot times."""
+        assert self.times_pulse
         self._require()
         if duration <= 0:
             return self._request(False)
         number = self._request(True)
-        if self.device.edges and self.device.edges[-1][1]:
+        if self.device.edges and self.device.edges[-1][1] and not self.device.faults.stuck:
             self.device.set_at(self.device.edges[-1][0] + duration, False)
         return number
 
@@ -206,22 +215,23 @@ class VirtualOutputLink:
         if not faults.present:
             return self._number
         effect = self.now() + device.latency + faults.late
-        refused = on and faults.refuses
-        if not refused:
+        refused = faults.refuses if on else faults.refuses_off
+        if not refused and (on or not faults.stuck):
             device.set_at(effect, on)
         if not faults.lost_answers:
             result = Answer.REFUSED if refused else Answer.DONE
             self._answers[self._number] = (effect + device.latency, result)
         return self._number
 
-    def _last_report_at(self) -> float | None:
-        """Return the time of the last input message; None before the first message."""
+    def _last_report_at(self, name: str) -> float | None:
+        """Return the time of the last message of an input; None before the first message."""
         faults = self.device.faults
-        if math.isinf(self._opened):
+        first, last = self.published[name]
+        if math.isinf(self._opened) or self.now() < first:
             return None
         if faults.silent_inputs or not faults.present:
             return self._opened
-        return max(self._opened, math.floor(self.now() / self._period) * self._period)
+        return min(last, max(self._opened, math.floor(self.now() / self._period) * self._period))
 
     def _require(self) -> None:
         if self._stopped:
