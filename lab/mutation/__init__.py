@@ -12,7 +12,7 @@ import time
 
 import pytest
 
-from lab.mutation.mutants import Source
+from lab.mutation.mutants import Mutant, Source
 from lab.mutation.relevant import test_files
 from lab.mutation.runs import A_GOAL_S, Result, Runner
 from lab.mutation.table import lines, survivor, write
@@ -38,7 +38,7 @@ SEED = 1
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the verb."""
     parser.add_argument("--module", choices=MODULES, action="append", help="default: all")
-    parser.add_argument("--sample", type=int, metavar="N", help="try N mutants drawn at random")
+    parser.add_argument("--sample", type=int, metavar="N", help="try N mutants of each module")
     parser.add_argument(
         "--only", default="", metavar="ID", help="try the mutants whose id contains this text"
     )
@@ -61,15 +61,13 @@ def run(arguments: argparse.Namespace) -> int:
         Source(importlib.import_module(f"tapping_cell.{name}"))
         for name in arguments.module or MODULES
     ]
-    mutants = [
-        (source, mutant)
-        for source in sources
-        for mutant in source.mutants
-        if arguments.only in mutant.name
-    ]
-    if arguments.sample and arguments.sample < len(mutants):
-        chosen = sorted(random.Random(SEED).sample(range(len(mutants)), arguments.sample))
-        mutants = [mutants[number] for number in chosen]
+    mutants: list[tuple[Source, Mutant]] = []
+    for source in sources:
+        found = [mutant for mutant in source.mutants if arguments.only in mutant.name]
+        if arguments.sample and arguments.sample < len(found):
+            chosen = sorted(random.Random(SEED).sample(range(len(found)), arguments.sample))
+            found = [found[number] for number in chosen]
+        mutants += [(source, mutant) for mutant in found]
     if arguments.list:
         for _, mutant in mutants:
             print(f"{mutant.name}  {mutant.change()}")
@@ -77,7 +75,7 @@ def run(arguments: argparse.Namespace) -> int:
     results: list[Result] = []
     start = time.monotonic()
 
-    def found(result: Result) -> None:
+    def note(result: Result) -> None:
         results.append(result)
         if not (result.test or result.violation):
             print(survivor(result.mutant), flush=True)
@@ -93,7 +91,7 @@ def run(arguments: argparse.Namespace) -> int:
     runner = Runner(
         mutants,
         arguments.jobs,
-        found,
+        note,
         campaign=(lambda: campaign(arguments.campaign, SEED)) if arguments.campaign else None,
         campaign_s=A_GOAL_S * (arguments.campaign or 0),
     )
@@ -104,7 +102,7 @@ def run(arguments: argparse.Namespace) -> int:
         return int(code)
     table = {
         source.name: lines(
-            source.name,
+            source,
             [each for each in results if each.mutant.name.startswith(f"{source.name}:")],
         )
         for source in sources

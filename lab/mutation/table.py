@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from benchmarks.__main__ import RESULTS, write_section
 from lab.mutation.equivalent import REASONS
-from lab.mutation.mutants import Mutant
+from lab.mutation.mutants import Mutant, Source
 from lab.mutation.runs import Result
 
 SECTION = "mutation"
@@ -19,15 +19,16 @@ def survivor(mutant: Mutant) -> str:
     return f"  {mutant.name}  {mutant.change()}" + (f"  ({reason})" if reason else "")
 
 
-def lines(name: str, results: Sequence[Result]) -> list[str]:
+def lines(source: Source, results: Sequence[Result]) -> list[str]:
     """Return the lines of a module: its counts, and its survivors."""
     tests = sum(bool(each.test) for each in results)
     campaign = sum(bool(each.violation) for each in results)
     left = [each.mutant for each in results if not (each.test or each.violation)]
     explained = sum(mutant.name in REASONS for mutant in left)
     counts = (
-        f"{name:<22} {len(results):>4} mutants; found by tests {tests:>4}, by the campaign"
-        f" {campaign:>3}; survivors {len(left):>3}, with a reason {explained:>3}"
+        f"{source.name:<22} {len(results):>3} of {len(source.mutants):>3} mutants; tests found"
+        f" {tests:>3}, the campaign {campaign:>2}; survivors {len(left):>2}, with a reason"
+        f" {explained:>2}"
     )
     return [counts, *(survivor(mutant) for mutant in left)]
 
