@@ -129,7 +129,6 @@ def answered(
 ) -> tuple[ConfirmTap.Response, Steps]:
     """Return the response to a person's answer, and what follows from the answer."""
     shot, task, monitor = at.proposed, at.task, parts.monitor
-    parts.confirmations.forget()
     accepted = ConfirmTap.Response(accepted=True)
     if not is_confirmed and task.prescribed:
         rejected = failed(ErrorCode.TAP_NOT_CONFIRMED, "a person rejected the single tap")

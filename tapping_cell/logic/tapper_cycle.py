@@ -128,7 +128,7 @@ class TapperCycle:
         # Count the hold time from the moment at which hold_still was requested. The arm counts it
         # from the later moment at which it handles the request, so the arm stands still for longer.
         until = at.asked_at + permit.hold(flight)
-        if response is not None and response.granted:
+        if response is not None:
             until -= permit.shortfall(flight, response.duration)
         late = response is None or now.steady > until - permit.RELEASE_S - flight
         if response is not None and not response.granted:

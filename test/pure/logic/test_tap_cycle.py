@@ -10,6 +10,7 @@ from typing import Any, cast
 import pytest
 
 from tapping_cell.logic import tap_cycle
+from tapping_cell.logic.arrangement import ArrangementTask
 from tapping_cell.logic.clock import Now
 from tapping_cell.logic.effects import Log, RunJob
 from tapping_cell.logic.planner_settings import PlannerSettings
@@ -24,7 +25,7 @@ from tapping_cell.logic.planner_states import (
     Settling,
     WaitingForCell,
 )
-from tapping_cell.logic.tap_steps import PARKING_S, PlannerParts
+from tapping_cell.logic.tap_steps import PARKING_S, PlannerParts, disturbed
 from tapping_cell.logic.transitions import Go
 from tapping_cell.messages import ErrorCode, ObjectState, TapperState
 from tapping_cell.planning import ObserveAgain
@@ -299,6 +300,15 @@ def test_a_tap_that_was_fired_is_taken_in_once() -> None:
     assert "keep" not in cell.sent
 
 
+@pytest.mark.parametrize("warning", ["", "the object is near the edge"])
+def test_an_object_near_the_edge_is_logged(warning: str) -> None:
+    task = Task(session=SimpleNamespace(edge_warning=lambda pose: warning))
+    at = in_state(Looking, task, shot=shot(TapperState.FIRED))
+    steps = tap_cycle.advance(at, Cell().parts(), NOW)
+    logged = [step.sentence for step in steps if isinstance(step, Log)]
+    assert logged == ([warning] if warning else [])
+
+
 def test_a_tap_that_was_not_fired_counts_and_is_stored_as_such() -> None:
     task, cell = Task(), Cell()
     steps = steps_of(in_state(Looking, task, shot=shot(TapperState.NOT_FIRED)), cell)
@@ -315,6 +325,7 @@ def test_a_tap_that_was_not_fired_counts_and_is_stored_as_such() -> None:
         ({}, False, False, None),
         ({}, False, True, ErrorCode.OBJECT_NOT_SEEN),
         ({"silent": True}, False, False, Event.CELL_NOT_READY),
+        ({"unseen": 0.6}, False, False, None),
         ({"unseen": 0.9}, False, False, Event.HIDDEN),
         ({"unseen": 0.9, "may_park": False}, False, False, Event.HIDDEN),
         ({"unseen": 0.9}, True, False, None),
@@ -431,12 +442,14 @@ def test_a_shot_ends_with_its_outcome_or_its_time(facts, late, event) -> None:
         assert at.shot.outcome == TapperState.UNKNOWN and steps[0].record.shot is at.shot
 
 
+@pytest.mark.parametrize("withdrawn", [True, False])
 @pytest.mark.parametrize("has_arm", [True, False])
 @pytest.mark.parametrize("outcome", [TapperState.FIRED, TapperState.UNKNOWN])
-def test_after_a_shot_the_planner_waits_for_the_arm(has_arm: bool, outcome: int) -> None:
+def test_after_a_shot_the_planner_waits_for_the_arm(outcome, has_arm, withdrawn) -> None:
     task = Task(late=2, not_fired=1)
     at = in_state(Firing, task, shot=shot(outcome))
-    (go,) = steps_of(at, Cell(outcome=outcome, has_arm=has_arm))
+    cell = Cell(outcome=outcome, has_arm=has_arm, withdrawn_tap=withdrawn)
+    (go,) = steps_of(at, cell)
     settling = go.record
     assert (task.late, task.not_fired) == (0, 0)
     assert settling.deadline == START + SETTINGS.withdraw_deadline
@@ -467,6 +480,31 @@ def test_a_tap_that_was_not_fired_counts_by_its_cause(
     task = Task(not_fired=SETTINGS.attempts - 1, late=SETTINGS.late_attempts - 1)
     (step,) = steps_of(in_state(Firing, task, shot=shot(outcome)), cell)
     assert isinstance(step, End) == bool(late or not_fired)
+
+
+def test_the_outcome_that_the_tapper_reported_outlasts_giving_up() -> None:
+    at = in_state(Placing, Task(), shot=shot(TapperState.FIRED))
+    (go,) = steps_of(at, Cell(away=True))
+    assert go.event is Event.GIVEN_UP and at.shot.outcome == TapperState.FIRED
+
+
+class Several(ArrangementTask):
+    """An arrangement whose other objects move as told."""
+
+    def __init__(self, moved: bool) -> None:
+        self.moved, self.obstacles = moved, ()
+
+    def others_moved(self, *_: Any) -> bool:
+        return self.moved
+
+
+@pytest.mark.parametrize(
+    ("moved", "unknown", "disturbs"), [(False, (), False), (True, (), True), (False, ("a",), True)]
+)
+def test_an_arrangement_is_disturbed_by_other_and_by_unknown_objects(moved, unknown, disturbs):
+    parts = Cell().parts()
+    parts.goals.objects = SimpleNamespace(unknown=unknown)  # type: ignore[misc, assignment]
+    assert disturbed(Several(moved), shot(), parts, NOW) == disturbs
 
 
 # Settling

@@ -156,6 +156,14 @@ def test_the_tapped_object_is_watched_and_touched_ones_are_named_once() -> None:
         assert not words or words in steps[0].sentence
 
 
+@pytest.mark.parametrize("detour", ["", "the first choice leaves the table"])
+def test_why_another_tap_was_chosen_is_logged(detour: str) -> None:
+    strike = SimpleNamespace(**{**vars(STRIKE), "detour": detour})
+    steps = act(planning(Task()), cast(Any, strike), ObjectState(), Cell().parts(), NOW)
+    logged = [step.sentence for step in steps if isinstance(step, Log)]
+    assert logged == ([f"tap 3: {detour}"] if detour else [])
+
+
 @pytest.mark.parametrize("has_arm", [True, False])
 @pytest.mark.parametrize("where", [looking, planning])
 def test_a_tap_is_stored_commanded_and_awaited(where, has_arm: bool) -> None:
