@@ -5,6 +5,7 @@ from __future__ import annotations
 COUNTS = "only equality of the counts before and after a request matters"
 QUEUE = "any number of at least the depth of the topic's queue"
 PERIOD = "any period far below the pulse and the latency"
+TABLE = "the transition is in the table"
 CLOCK = "the clock's time is greater than both"
 
 REASONS: dict[str, str] = {
@@ -23,6 +24,9 @@ REASONS: dict[str, str] = {
     "logic.tap_cycle:look:7:operand:0": "an object that is not seen is not observed",
     "logic.tap_steps:try_another_way:11:member:0": "the outcome is set before",
     "logic.tapper_peers:TapperPeers.__init__:10:value:0": "set at the begin of each tap",
+    "logic.planner:PlannerLogic.__init__:11:value:0": "any first number serves",
+    "logic.planner:PlannerLogic._end:7:drop:0": TABLE,
+    "logic.planner:PlannerLogic._go:2:false:0": TABLE,
     "logic.tap_sender:TapSender.__init__:2:value:0": CLOCK,
     "logic.tap_sender:TapSender.__init__:3:value:0": CLOCK,
     "logic.tap_sender:TapSender.__init__:5:value:0": CLOCK,

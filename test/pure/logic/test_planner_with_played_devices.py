@@ -261,6 +261,16 @@ def test_an_arm_that_does_not_arrive_ends_the_goal_with_a_message(actors: Actors
     assert actors.commands[-1].request == TapCommand.WITHDRAW
 
 
+def test_the_planner_reports_a_tap_under_way_at_every_tick(actors: Actors) -> None:
+    """The tapper discharges the striker if these reports end."""
+    actors.arm_arrives = False
+    actors.send()
+    actors.wait(actors.taps, "the tap")
+    before = len(actors.plans)
+    actors.run(1.0)
+    assert len(actors.plans) - before >= 9
+
+
 def test_a_tap_out_of_the_arms_reach_is_replaced_by_another(actors: Actors) -> None:
     actors.taps_out_of_reach = 1
     actors.send()
