@@ -6,6 +6,7 @@ COUNTS = "only equality of the counts before and after a request matters"
 QUEUE = "any number of at least the depth of the topic's queue"
 PERIOD = "any period far below the pulse and the latency"
 TABLE = "the transition is in the table"
+ENDED = "a stop and a deactivation also end the tap"
 CLOCK = "the clock's time is greater than both"
 
 REASONS: dict[str, str] = {
@@ -27,6 +28,13 @@ REASONS: dict[str, str] = {
     "logic.planner:PlannerLogic.__init__:11:value:0": "any first number serves",
     "logic.planner:PlannerLogic._end:7:drop:0": TABLE,
     "logic.planner:PlannerLogic._go:2:false:0": TABLE,
+    "logic.tapper:READ_PERIOD_S:0:value:1": "reading more often changes nothing",
+    "logic.tapper:TapperLogic.check_charging:7:false:0": ENDED,
+    "logic.tapper:TapperLogic.check_charging:7:operand:0": ENDED,
+    "logic.tapper:TapperLogic.check_charging:7:operand:1": ENDED,
+    "logic.tapper:TapperLogic._refusal:20:false:0": "the cycle gives the tap up at once",
+    "logic.tapper:TapperLogic._job_done:20:true:0": "the last of the jobs' names",
+    "logic.tapper:TapperLogic._job_failed:1:true:0": "set again by the next connection",
     "logic.tap_sender:TapSender.__init__:2:value:0": CLOCK,
     "logic.tap_sender:TapSender.__init__:3:value:0": CLOCK,
     "logic.tap_sender:TapSender.__init__:5:value:0": CLOCK,
