@@ -35,6 +35,8 @@ REASONS: dict[str, str] = {
     "logic.tapper:TapperLogic._refusal:20:false:0": "the cycle gives the tap up at once",
     "logic.tapper:TapperLogic._job_done:20:true:0": "the last of the jobs' names",
     "logic.tapper:TapperLogic._job_failed:1:true:0": "set again by the next connection",
+    "logic.arm_cycle:ArmCycle.checked:5:value:0": "all have four elements",
+    "logic.tap_sender:TapSender.may_park:3:value:0": "both ids are 0 until the first withdrawal",
     "logic.tap_sender:TapSender.__init__:2:value:0": CLOCK,
     "logic.tap_sender:TapSender.__init__:3:value:0": CLOCK,
     "logic.tap_sender:TapSender.__init__:5:value:0": CLOCK,

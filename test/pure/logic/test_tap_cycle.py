@@ -483,9 +483,10 @@ def test_a_tap_that_was_not_fired_counts_by_its_cause(
 
 
 def test_the_outcome_that_the_tapper_reported_outlasts_giving_up() -> None:
-    at = in_state(Placing, Task(), shot=shot(TapperState.FIRED))
-    (go,) = steps_of(at, Cell(away=True))
-    assert go.event is Event.GIVEN_UP and at.shot.outcome == TapperState.FIRED
+    for facts in ({"away": True}, {"reach": (ErrorCode.ARM_OUT_OF_REACH, "out of reach")}):
+        at = in_state(Placing, Task(), shot=shot(TapperState.FIRED))
+        (go,) = steps_of(at, Cell(**facts))
+        assert go.event is Event.GIVEN_UP and at.shot.outcome == TapperState.FIRED
 
 
 class Several(ArrangementTask):

@@ -204,8 +204,9 @@ def proposed(cell: Cell, task: Task) -> Confirming:
     return cast(Confirming, record)
 
 
-def test_a_tap_that_must_be_confirmed_is_proposed_and_then_commanded() -> None:
-    cell, task = Cell(), Task(ask=True)
+@pytest.mark.parametrize("prescribed", [True, False])
+def test_a_tap_that_must_be_confirmed_is_proposed_and_then_commanded(prescribed: bool) -> None:
+    cell, task = Cell(), Task(ask=True, prescribed=prescribed)
     at = proposed(cell, task)
     assert "answer for tap 7" in not_awaited(8, at).error_msg
     assert "no tap is waiting" in not_awaited(8, planning(task)).error_msg
@@ -214,7 +215,9 @@ def test_a_tap_that_must_be_confirmed_is_proposed_and_then_commanded() -> None:
     assert response.accepted
     assert [step.event for step in steps if isinstance(step, Go)] == [Event.TAP_COMMANDED]
     # The confirmation holds for the same tap, if it must be planned again.
-    assert acted(planning(task), STRIKE, cell)[-1].event is Event.TAP_COMMANDED
+    steps = list(act(planning(task), STRIKE, ObjectState(), cell.parts(), NOW))
+    assert steps[-1].event is Event.TAP_COMMANDED
+    assert ["remains valid" in step.sentence for step in steps if isinstance(step, Log)] == [True]
 
 
 @pytest.mark.parametrize("prescribed", [True, False])

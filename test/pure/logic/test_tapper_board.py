@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from logic_parts import board_reply
 
-from tapping_cell.hardware.tapper_protocol import State
+from tapping_cell.hardware.tapper_protocol import Mode, State
 from tapping_cell.logic.tapper_board import LastTap, TapperBoard, why_not_charged
 from tapping_cell.logic.tapper_jobs import Status
 from tapping_cell.messages import ErrorCode, TapperState
@@ -115,6 +115,8 @@ def test_a_tap_without_an_outcome_is_awaited(tap_id: int, outcome: int, awaits: 
 
 def test_a_lost_charge_is_explained_by_guard_switch_or_silence() -> None:
     reply = board_reply(State.SAFE)
+    switch, _ = why_not_charged(replace(reply, mode=Mode.SETUP, energy=9.0))
+    assert switch == ErrorCode.ENABLING_RELEASED
     guard, _ = why_not_charged(replace(reply, interlock_closed=False))
     silence, sentence = why_not_charged(reply)
     assert (guard, silence) == (ErrorCode.TAPPER_INTERLOCK_OPEN, ErrorCode.TAPPER_FAULT)
