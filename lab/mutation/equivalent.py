@@ -41,6 +41,9 @@ REASONS: dict[str, str] = {
     "logic.tap_sender:TapSender.__init__:3:value:0": CLOCK,
     "logic.tap_sender:TapSender.__init__:5:value:0": CLOCK,
     "logic.tap_sender:TapSender.next_id:10:value:0": "any greater id serves",
+    "logic.tapper_cycle:TapperCycle._note_obstacle:4:operand:0": (
+        "without an obstacle, its beginning is infinite"
+    ),
     "logic.tapper_jobs:WINDOW_S:0:value:1": "the emulated board answers at once",
     "logic.tapper_jobs:_confirmed:5:operand:0": "another sentence about an unknown outcome",
     "hardware.tapper:LONGEST_CHARGE:0:value:0": (

@@ -82,8 +82,9 @@ class TapperCycle:
 
     def shown_obstacle(self, at: Serving | None, now: Now) -> CodedError | None:
         """Return why the accepted tap waits, if it has waited for a while."""
-        waits = isinstance(at, Waiting) and now.steady > at.obstacle_since + SHOWN_AFTER_S
-        return at.obstacle if waits and isinstance(at, Waiting) else None
+        if isinstance(at, Waiting) and now.steady > at.obstacle_since + SHOWN_AFTER_S:
+            return at.obstacle
+        return None
 
     def give_up(self, at: Serving, why: CodedError) -> Steps:
         """End the tap under way. The striker is not released, unless its release has already

@@ -381,10 +381,14 @@ def test_a_decision_for_objects_that_moved_meanwhile_is_made_again(outdated: boo
     ],
 )
 def test_a_proposal_ends_with_the_connection_a_motion_or_its_time(facts, late, event) -> None:
-    at = in_state(Confirming, Task(), START + (-0.1 if late else 1.0))
+    task = Task()
+    look = in_state(Looking, task, moved_aside=True)
+    at = in_state(Confirming, task, START + (-0.1 if late else 1.0), look=look)
     steps = steps_of(at, Cell(**facts))
     found = [step.code if isinstance(step, End) else step.event for step in steps]
     assert found == ([] if event is None else [event])
+    if event is Event.CELL_NOT_READY:
+        assert steps[0].record.moved_aside, "the arm is not moved aside again"
 
 
 @pytest.mark.parametrize(
@@ -467,11 +471,13 @@ def test_after_a_shot_the_planner_waits_for_the_arm(outcome, has_arm, withdrawn)
         ((ErrorCode.OBJECT_NOT_SEEN, "hidden"), False, 0, 1, True, None),
     ],
 )
+@pytest.mark.parametrize("has_arm", [True, False])
 def test_a_tap_that_was_not_fired_counts_by_its_cause(
-    error, withdrawn, late, not_fired, skips, reason
+    error, withdrawn, late, not_fired, skips, reason, has_arm
 ):
-    outcome = TapperState.NOT_FIRED
-    cell = Cell(outcome=outcome, error=error, withdrawn_tap=withdrawn)
+    """Only an arm may hide the object from its own strike pose."""
+    outcome, skips = TapperState.NOT_FIRED, skips and has_arm
+    cell = Cell(outcome=outcome, error=error, withdrawn_tap=withdrawn, has_arm=has_arm)
     task = Task()
     (go,) = steps_of(in_state(Firing, task, shot=shot(outcome)), cell)
     assert go.event is Event.OUTCOME_REPORTED

@@ -203,6 +203,7 @@ def test_a_charged_tapper_asks_the_arm_that_is_in_position_to_stand_still() -> N
         (None, 2.99, None),
         (None, 3.01, ErrorCode.TAPPER_ARM_NOT_IN_POSITION),
         (WHY, 0.1, ErrorCode.OBJECT_MOVED),
+        (WHY, 3.5, ErrorCode.OBJECT_MOVED),
     ],
 )
 def test_a_charged_tapper_waits_for_the_arm_but_not_long(charging, later, code) -> None:
@@ -249,6 +250,7 @@ def test_it_fires_only_while_enough_of_the_promise_is_left(later, granted, fires
         (firing,) = records(steps)
         less = max(0.0, GRANTED.duration - granted)
         assert isinstance(firing, Firing) and firing.still_until == pytest.approx(UNTIL - less)
+        assert [step.event for step in steps if isinstance(step, Go)] == [Event.HELD]
         (run,) = [step for step in steps if isinstance(step, Run)]
         words = cast(partial, run.job).keywords
         assert (words["shot"], words["post_replies"]) == (7, True)
@@ -271,10 +273,11 @@ def test_an_arm_that_refuses_ends_the_tap_and_a_silent_one_after_some_calls() ->
     refused = HoldStill.Response(granted=False, error_code=OTHER[0], error_msg=OTHER[1])
     steps = list(Cell().cycle.answered(ASKED, TOKEN, refused, at(START)))
     assert jobs(steps) == ["discharge"] and records(steps)[0].given_up == OTHER
-    for attempts in range(1, HOLD_ATTEMPTS + 1):
-        record = replace(ASKED, attempts=attempts)
-        steps = list(Cell().cycle.answered(record, ("hold", 7, attempts), None, at(START + 0.2)))
-        assert jobs(steps) == (["discharge"] if attempts == HOLD_ATTEMPTS else [])
+    for later in (0.2, 0.0):
+        for attempts in range(1, HOLD_ATTEMPTS + 1):
+            record, token = replace(ASKED, attempts=attempts), ("hold", 7, attempts)
+            steps = list(Cell().cycle.answered(record, token, None, at(START + later)))
+            assert jobs(steps) == (["discharge"] if attempts == HOLD_ATTEMPTS else [])
     assert records(steps)[0].given_up[0] == ErrorCode.ARM_SILENT
     assert "in 5 attempts" in records(steps)[0].given_up[1]
 
