@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, cast
 
 import pytest
 from test_permit import CELL, START, at, jobs, messages
@@ -11,11 +11,11 @@ from tapping_cell.hardware.faults import FaultReason, HardwareFault
 from tapping_cell.hardware.scara import Joints
 from tapping_cell.logic.arm import ArmLogic, ArmOptions
 from tapping_cell.logic.arm_jobs import MotionEnd, Reading
-from tapping_cell.logic.arm_states import State
-from tapping_cell.logic.effects import JobEnded, RunJob
+from tapping_cell.logic.arm_states import State, Withdrawing
+from tapping_cell.logic.effects import Answer, JobEnded, RunJob
 from tapping_cell.logic.enabling import TOPIC
 from tapping_cell.logic.host import Activated, Configured
-from tapping_cell.messages import ArmState, Bool, ErrorCode, TapCommand
+from tapping_cell.messages import ArmState, Bool, ErrorCode, TapCommand, Trigger
 
 PARKED = Joints(*CELL.file.arm.park)
 MOVED = PARKED._replace(tool=PARKED.tool + 0.1)
@@ -105,3 +105,45 @@ def test_a_held_key_is_reported_in_set_up_mode_only(set_up: bool, held: bool) ->
     arm = idle(set_up)
     arm.on_message(TOPIC, Bool(data=held), at(START))
     assert arm._is_key_held(at(START)) == (set_up and held)
+
+
+@pytest.mark.parametrize("held", [True, False])
+@pytest.mark.parametrize("scene", ["a scene", None])
+def test_a_second_withdrawal_parks_an_arm_that_may_move_and_hides_the_object(scene, held) -> None:
+    arm = idle(set_up=True)
+    arm.on_message(TOPIC, Bool(data=held), at(START + 9.0))
+    arm._last_tap_id = 7
+    arm._last_withdrawal = Withdrawing(tap_id=7, scene=scene)
+    command = TapCommand(request=TapCommand.WITHDRAW, tap_id=7)
+    moves = bool(jobs(list(arm.on_message("tap_command", command, at(START + 9.0)))))
+    assert moves == (held and scene is not None)
+    arm = idle(set_up=True)
+    arm.on_message(TOPIC, Bool(data=held), at(START + 9.0))
+    arm._last_tap_id = 7
+    assert not jobs(list(arm.on_message("tap_command", command, at(START + 9.0))))
+
+
+def test_every_request_to_home_is_answered() -> None:
+    arm = idle()
+    for state, success in ((State.IDLE, True), (State.PLACING, False), (State.FAULT, False)):
+        arm._machine._state = state
+        effects = arm.on_request("~/home", Trigger.Request(), cast(Any, 5), at(START + 9.0))
+        (answer,) = [effect for effect in effects if isinstance(effect, Answer)]
+        assert cast(Trigger.Response, answer.response).success == success
+
+
+def test_an_arm_without_a_known_position_is_not_jogged() -> None:
+    arm = idle(set_up=True)
+    arm.on_message(TOPIC, Bool(data=True), at(START + 9.0))
+    arm._readings.take_in(Reading(True, PARKED, False, START + 9.0), at(START + 9.0))
+    assert arm._jog_refusal(at(START + 9.0)) is None
+    arm._readings.take_in(Reading(False, PARKED, False, START + 9.0), at(START + 9.0))
+    refusal = arm._jog_refusal(at(START + 9.0))
+    assert refusal is not None and refusal[0] == ErrorCode.ARM_TIMEOUT
+
+
+def test_a_stop_ends_a_deactivation() -> None:
+    arm = idle()
+    arm._deactivating = True
+    arm.on_message("emergency_stop", Bool(data=True), at(START))
+    assert not arm._deactivating
