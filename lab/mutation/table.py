@@ -25,10 +25,10 @@ def lines(source: Source, results: Sequence[Result]) -> list[str]:
     campaign = sum(bool(each.violation) for each in results)
     left = [each.mutant for each in results if not (each.test or each.violation)]
     explained = sum(mutant.name in REASONS for mutant in left)
+    found = f"tests found {tests:>3}" + (f", the campaign {campaign:>2}" if campaign else "")
     counts = (
-        f"{source.name:<22} {len(results):>3} of {len(source.mutants):>3} mutants; tests found"
-        f" {tests:>3}, the campaign {campaign:>2}; survivors {len(left):>2}, with a reason"
-        f" {explained:>2}"
+        f"{source.name:<22} {len(results):>3} of {len(source.mutants):>3} mutants; {found};"
+        f" survivors {len(left):>2}, with a reason {explained:>2}"
     )
     return [counts, *(survivor(mutant) for mutant in left)]
 
