@@ -13,6 +13,7 @@ REASONS: dict[str, str] = {
     "logic.permit:longest_hold:7:operand:1": "check-config refuses a cell that exceeds the limit",
     "logic.stops:StopLatch.__init__:6:value:0": COUNTS,
     "logic.stops:StopLatch.receive:8:operand:1": "no level is asserted unless a stop is latched",
+    "logic.stops:StopLatch.try_reset:23:drop:0": "every new stop cancels the confirmation",
     "logic.tapper_commands:REFUSED_KEPT:0:value:0": QUEUE,
     "logic.tapper_commands:REFUSED_KEPT:0:value:1": QUEUE,
     "logic.tapper_commands:ReceivedCommands.refusal:14:value:0": CLOCK,
@@ -57,5 +58,4 @@ REASONS: dict[str, str] = {
     "hardware.output_tapper:OutputTapperDriver._reply:4:operand:0": (
         "every caller has checked that the guard was received"
     ),
-    "logic.stops:StopLatch.try_reset:23:drop:0": "every new stop cancels the confirmation",
 }

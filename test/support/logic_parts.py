@@ -29,6 +29,11 @@ def goal_handling(
     return GoalHandling(cell, planner, objects, now, **given)
 
 
+def at(steady: float) -> Now:
+    """Return a time by its steady clock, s, with the ROS clock of the same age."""
+    return Now(steady, 10**18 + round(1e9 * steady))
+
+
 def alone(state: ObjectState) -> ObjectStates:
     """Return the message of a camera that sees the cell's only object in this state."""
     return ObjectStates(header=state.header, objects=[state])

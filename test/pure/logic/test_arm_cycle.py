@@ -8,13 +8,13 @@ from functools import partial
 from typing import Any, cast
 
 import pytest
+from logic_parts import at
 
 from tapping_cell.configuration.cell import load_cell
 from tapping_cell.hardware.scara import Joints
 from tapping_cell.logic.arm_cycle import ArmCycle
 from tapping_cell.logic.arm_jobs import MotionEnd, Reading
 from tapping_cell.logic.arm_states import InPosition, Leaving, Placing, Tap, Withdrawing
-from tapping_cell.logic.clock import Now
 from tapping_cell.logic.device import Abandon, Run
 from tapping_cell.logic.standing_still import StandingStill
 from tapping_cell.logic.transitions import Go
@@ -22,13 +22,9 @@ from tapping_cell.messages import HoldStill, TapperState
 
 CELL = load_cell()
 START = 100.0
-TAP = Tap(7, 10**18 + 10**9, cast(Any, "the strike pose"), cast(Any, "the scene"))
+TAP = Tap(7, at(START + 1.0).ros, cast(Any, "the strike pose"), cast(Any, "the scene"))
 JOINTS = Joints(0.3, -0.8, 0.0, 0.2)
 SERVED = InPosition(tap_id=7, tap=TAP, joints=JOINTS)
-
-
-def at(steady: float) -> Now:
-    return Now(steady, 10**18 + round(1e9 * (steady - START)))
 
 
 def cycle(set_up: bool = False) -> tuple[ArmCycle, StandingStill]:

@@ -8,19 +8,16 @@ from dataclasses import replace
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from logic_parts import at
 
 from tapping_cell.configuration.cell import Ros2ControlSection, load_cell
 from tapping_cell.hardware.scara import Joints
 from tapping_cell.logic.arm_jobs import Reading
 from tapping_cell.logic.arm_readings import ArmReadings
-from tapping_cell.logic.clock import Now, to_nanoseconds
+from tapping_cell.logic.clock import to_nanoseconds
 
 CELL = load_cell()
 JOINTS = Joints(0.3, -0.8, 0.0, 0.2)
-
-
-def at(steady: float) -> Now:
-    return Now(steady, 10**18 + round(1e9 * steady))
 
 
 def reading(stamp: float, homed: bool = True) -> Reading:

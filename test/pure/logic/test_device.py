@@ -6,6 +6,7 @@ from enum import Enum
 from typing import Any, ClassVar, cast
 
 import pytest
+from logic_parts import at
 
 from tapping_cell.hardware.faults import FaultReason, HardwareFault
 from tapping_cell.logic.clock import Now
@@ -38,10 +39,6 @@ class Event(Enum):
 
 
 TABLE = table([(tuple(State), Event.STOP, (State.STOPPED,))])
-
-
-def at(steady: float) -> Now:
-    return Now(steady, 10**18 + round(1e9 * (steady - START)))
 
 
 def _recorded(name: str) -> Any:

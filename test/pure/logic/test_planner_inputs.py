@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 
 import pytest
-from logic_parts import alone, goal_handling
+from logic_parts import alone, at, goal_handling
 
 from tapping_cell.configuration.cell import load_cell
-from tapping_cell.logic.clock import Now, to_stamp
+from tapping_cell.logic.clock import to_stamp
 from tapping_cell.logic.planner_inputs import PlannerInputs
 from tapping_cell.logic.poses import to_message
 from tapping_cell.messages import ArmState, ObjectState, PoseStamped
@@ -17,10 +17,6 @@ from tapping_cell.se2 import Pose
 CELL = load_cell()
 UNDER_THE_TIP = Pose(0.05, 0.02, 0.0)
 LENS = (0.0, 0.0, 0.9)
-
-
-def at(steady: float) -> Now:
-    return Now(steady, 10**18 + round(1e9 * steady))
 
 
 def camera(x: float, y: float, z: float) -> PoseStamped:

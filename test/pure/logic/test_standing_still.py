@@ -7,10 +7,10 @@ import math
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from logic_parts import at
 
 from tapping_cell.configuration.cell import load_cell
 from tapping_cell.logic import permit
-from tapping_cell.logic.clock import Now
 from tapping_cell.logic.standing_still import DISCHARGED_S, LONGEST_WAIT_S, StandingStill
 from tapping_cell.messages import ErrorCode, HoldStill, TapperState
 
@@ -18,10 +18,6 @@ CELL = load_cell()
 LONGEST = permit.longest_hold(CELL)
 TAP = 7
 START = 100.0
-
-
-def at(steady: float) -> Now:
-    return Now(steady, 10**18 + round(1e9 * steady))
 
 
 def standing() -> StandingStill:

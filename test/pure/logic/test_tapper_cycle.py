@@ -8,7 +8,7 @@ from functools import partial
 from typing import Any, cast
 
 import pytest
-from logic_parts import board_reply
+from logic_parts import at, board_reply
 
 from tapping_cell.hardware.tapper_protocol import State as BoardState
 from tapping_cell.logic import tapper_jobs
@@ -35,12 +35,8 @@ from tapping_cell.se2 import Pose
 START = 100.0
 FLIGHT = 0.03
 POSE = Pose(0.05, -0.02, 1.0)
-TAP = Tap(7, 2, 0.5, 10**18 + 10**9, POSE, Pose(0.1, 0.0, 0.0), FLIGHT)
+TAP = Tap(7, 2, 0.5, at(START + 1.0).ros, POSE, Pose(0.1, 0.0, 0.0), FLIGHT)
 WHY, OTHER = (ErrorCode.OBJECT_MOVED, "moved"), (ErrorCode.ARM_SILENT, "silent")
-
-
-def at(steady: float) -> Now:
-    return Now(steady, 10**18 + round(1e9 * (steady - START)))
 
 
 class Peers:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import pytest
+from logic_parts import at
 
-from tapping_cell.logic.clock import Now, to_stamp
+from tapping_cell.logic.clock import to_stamp
 from tapping_cell.logic.poses import to_message
 from tapping_cell.logic.tapper_peers import PeerLimits, TapperPeers
 from tapping_cell.messages import ArmState, ErrorCode, ObjectState, ObjectStates, PlanState
@@ -14,10 +15,6 @@ START = 100.0
 TAP = 7
 POSE, STRIKE = Pose(0.05, -0.02, 1.0), Pose(0.02, -0.02, 0.0)
 HEIGHT = 0.01
-
-
-def at(steady: float) -> Now:
-    return Now(steady, 10**18 + round(1e9 * steady))
 
 
 def picture(steady: float, pose: Pose = POSE) -> ObjectStates:
